@@ -1,0 +1,452 @@
+"""Bags without a ROS graph: write rosbag2 MCAP folders, read them (and sqlite3 ones), cut-off ones included.
+
+A bag is a folder `<name>/` with `<name>_0.mcap` and `metadata.yaml`, as rosbag2 Jazzy writes it. Times are
+integer nanoseconds: `log_time` is when a message was received, `publish_time` when it was sent.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Literal, Self
+
+import numpy as np
+import yaml
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from . import cdr
+from .bag_sources import Message, Topic, open_source
+from .errors import BagError
+
+__all__ = ["BagReader", "BagWriter", "Commands", "Message", "Qos", "Topic", "absolute", "read_commands"]
+
+FLUSH_PERIOD = 0.5
+"""Longest time [s] of messages that a killed writer loses."""
+
+_FOREVER = {"sec": 9223372036, "nsec": 854775807}
+
+
+@dataclass(frozen=True)
+class Qos:
+    """What a recorded topic offered: rosbag2 plays it back with the same."""
+
+    depth: int = 10
+    reliable: bool = True
+    transient_local: bool = False
+
+    def as_rosbag2(self) -> dict[str, Any]:
+        """The profile in the words of rosbag2's metadata version 9."""
+        return {
+            "history": "keep_last",
+            "depth": self.depth,
+            "reliability": "reliable" if self.reliable else "best_effort",
+            "durability": "transient_local" if self.transient_local else "volatile",
+            "deadline": dict(_FOREVER),
+            "lifespan": dict(_FOREVER),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": dict(_FOREVER),
+            "avoid_ros_namespace_conventions": False,
+        }
+
+
+@dataclass
+class _Recorded:
+    """One channel being written."""
+
+    channel_id: int
+    type: str
+    qos: Qos
+    count: int = 0
+    next_sequence: int = 1
+
+
+class BagWriter:
+    """Writes one rosbag2 folder; use it in a `with` block, from one thread.
+
+    Messages are kept in chunks of at most FLUSH_PERIOD of log time; each finished chunk goes to the operating
+    system at once, so a process killed while messages come in loses no more than that. Where messages may
+    stop coming, call `flush` on a clock of your own. The same input makes the same file, byte for byte.
+
+    path        : folder to make; BagError if it exists or cannot be made
+    compression : of the chunks, "zstd" or "none"
+    """
+
+    def __init__(self, path: str | Path, *, compression: Literal["zstd", "none"] = "zstd") -> None:
+        self.path = Path(path)
+        self.file = self.path / f"{self.path.name}_0.mcap"
+        self._recorded: dict[str, _Recorded] = {}
+        self._schemas: dict[str, int] = {}
+        self._span: tuple[int, int] | None = None
+        self._chunk_start: int | None = None
+        self._open = False
+        try:
+            self.path.mkdir(parents=True)
+            self._stream = self.file.open("xb")
+        except FileExistsError:
+            raise BagError(f"{self.path}: exists already; give another name or remove it") from None
+        except OSError as error:
+            raise BagError(f"{self.path}: cannot be made: {error.strerror}") from None
+        self._open = True
+        self._writer = _mcap_writer(self._stream, compression)
+        try:
+            self._writer.start(profile="ros2", library="finger_sim")
+            self._writer.flush()
+        except OSError as error:
+            raise self._failed(error) from None
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages written, by topic."""
+        return {topic: recorded.count for topic, recorded in self._recorded.items()}
+
+    def add_topic(self, topic: str, type: str, *, qos: Qos | None = None) -> str:
+        """Announces a topic of a ROS 2 type ("geometry_msgs/msg/PoseStamped") and returns its absolute name.
+
+        A name without a leading slash gets one. Announcing the same topic again does nothing; with another
+        type, or for a type that Jazzy does not have, it is a BagError.
+        """
+        name = absolute(topic)
+        known = self._recorded.get(name)
+        if known is not None:
+            if known.type != type:
+                raise BagError(f"{self.path}: topic {name} is {known.type}, cannot be {type} too")
+            return name
+        self._require_open()
+        qos = qos or Qos()
+        text, type_hash = cdr.definition(type)
+        try:
+            if type not in self._schemas:
+                self._schemas[type] = self._writer.register_schema(type, "ros2msg", text.encode())
+            profiles = yaml.safe_dump([qos.as_rosbag2()], sort_keys=False).strip()
+            metadata = {"offered_qos_profiles": profiles, "topic_type_hash": type_hash}
+            channel = self._writer.register_channel(name, "cdr", self._schemas[type], metadata)
+        except OSError as error:
+            raise self._failed(error) from None
+        self._recorded[name] = _Recorded(channel, type, qos)
+        return name
+
+    def write(
+        self,
+        topic: str,
+        data: bytes,
+        log_time: int,
+        publish_time: int | None = None,
+        sequence: int | None = None,
+    ) -> None:
+        """Appends one message of CDR bytes.
+
+        publish_time : `log_time` if left out
+        sequence     : number of the message on its topic, from 1; one more than the last if left out.
+                       Whoever drops messages skips their numbers, so that the loss shows in the bag.
+        Raises BagError for a topic that was not announced, a negative time, and when the disk refuses.
+        """
+        self._require_open()
+        recorded = self._recorded.get(absolute(topic))
+        if recorded is None:
+            known = ", ".join(self._recorded) or "none"
+            raise BagError(f"{self.path}: topic {topic} was not announced; have {known}")
+        if log_time < 0 or (publish_time is not None and publish_time < 0):
+            times = f"{log_time}, {publish_time}"
+            raise BagError(f"{self.path}: topic {topic}: times must be >= 0 ns, got {times}")
+        number = recorded.next_sequence if sequence is None else sequence
+        try:
+            if self._chunk_start is not None and abs(log_time - self._chunk_start) >= FLUSH_PERIOD * 1e9:
+                self.flush()
+            if self._chunk_start is None:
+                self._chunk_start = log_time
+            self._writer.add_message(
+                channel_id=recorded.channel_id,
+                log_time=log_time,
+                data=data,
+                publish_time=log_time if publish_time is None else publish_time,
+                sequence=number & 0xFFFFFFFF,
+            )
+        except OSError as error:
+            raise self._failed(error) from None
+        recorded.next_sequence = number + 1
+        recorded.count += 1
+        first, last = self._span or (log_time, log_time)
+        self._span = (min(first, log_time), max(last, log_time))
+
+    def flush(self) -> None:
+        """Finishes the current chunk and hands it to the operating system: all so far survives a kill."""
+        self._require_open()
+        try:
+            self._writer.flush()
+        except OSError as error:
+            raise self._failed(error) from None
+        self._chunk_start = None
+
+    def close(self) -> None:
+        """Writes index and metadata.yaml and closes; closing again does nothing."""
+        if not self._open:
+            return
+        information = self._information()
+        try:
+            self._writer.flush()
+            text = yaml.safe_dump(information, sort_keys=False)
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
+            self._writer.finish()
+            self._stream.close()
+            self._open = False
+            whole = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
+            unfinished = self.path / "metadata.yaml.tmp"
+            unfinished.write_text(whole, encoding="utf-8")
+            unfinished.replace(self.path / "metadata.yaml")
+        except OSError as error:
+            raise self._failed(error) from None
+
+    def abort(self) -> None:
+        """Stops where it is: what was written stays readable, without index and metadata.yaml."""
+        if self._open:
+            with contextlib.suppress(OSError):
+                self._writer.flush()
+            self._drop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Closes; after an exception aborts, so that a half-made bag does not look whole."""
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    def _require_open(self) -> None:
+        if not self._open:
+            raise BagError(f"{self.path}: the bag is closed")
+
+    def _drop(self) -> None:
+        """Closes the file; what could not be written is lost, the chunks before it are on the disk."""
+        self._open = False
+        with contextlib.suppress(OSError):
+            self._stream.close()
+
+    def _failed(self, error: OSError) -> BagError:
+        self._drop()
+        reason = error.strerror or str(error)
+        return BagError(f"{self.file}: cannot be written: {reason}; what was recorded before stays readable")
+
+    def _information(self) -> dict[str, Any]:
+        """rosbag2's bag information, metadata version 9."""
+        first, last = self._span or (2**63 - 1, 2**63 - 1)
+        count = sum(recorded.count for recorded in self._recorded.values())
+        start, duration = {"nanoseconds_since_epoch": first}, {"nanoseconds": last - first}
+        return {
+            "version": 9,
+            "storage_identifier": "mcap",
+            "duration": duration,
+            "starting_time": start,
+            "message_count": count,
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": name,
+                        "type": recorded.type,
+                        "serialization_format": "cdr",
+                        "offered_qos_profiles": [recorded.qos.as_rosbag2()],
+                        "type_description_hash": cdr.definition(recorded.type)[1],
+                    },
+                    "message_count": recorded.count,
+                }
+                for name, recorded in self._recorded.items()
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [self.file.name],
+            "files": [
+                {
+                    "path": self.file.name,
+                    "starting_time": dict(start),
+                    "duration": dict(duration),
+                    "message_count": count,
+                }
+            ],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
+
+
+def _mcap_writer(stream: BinaryIO, compression: str) -> Any:
+    """The mcap library's writer; Any because its methods carry no types."""
+    return Writer(stream, compression=CompressionType.ZSTD if compression == "zstd" else CompressionType.NONE)
+
+
+class BagReader:
+    """Reads a rosbag2 folder (MCAP or sqlite3), or a bare .mcap or .db3 file.
+
+    A bag that was cut off while it was written is read up to its last whole chunk; `truncated` and `warning`
+    then say so. Raises BagError when there is nothing, or nothing of ROS 2, to read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._source = open_source(self.path)
+        self.topics = self._source.topics
+        self.start_time = self._source.start
+        self.end_time = self._source.end
+        self.warning = self._source.warning
+        self.truncated = self.warning is not None
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last message [s]; 0 for an empty bag."""
+        if self.start_time is None or self.end_time is None:
+            return 0.0
+        return (self.end_time - self.start_time) * 1e-9
+
+    @property
+    def message_count(self) -> int:
+        """Messages on all topics."""
+        return sum(topic.count for topic in self.topics)
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """Messages in the order of log time (equal times: as in the file), of all topics or those named."""
+        wanted = None if topics is None else {absolute(topic) for topic in topics}
+        for message in self._source.messages():
+            if wanted is None or absolute(message.topic) in wanted:
+                yield message
+
+    def __iter__(self) -> Iterator[Message]:
+        return self.messages()
+
+
+def absolute(topic: str) -> str:
+    """The topic name with its leading slash."""
+    return topic if topic.startswith("/") else f"/{topic}"
+
+
+@dataclass(frozen=True)
+class Commands:
+    """The commanded poses of a bag, in the order of their receipt.
+
+    Repeated stamps, gaps and sign flips of quaternions (q and −q are one rotation) are kept as recorded.
+    A non-finite pose, a zero quaternion or a frame other than `frame_id` is left out and counted
+    in `refused`: the last good command holds.
+    """
+
+    topic: str
+    frame_id: str
+    start: int
+    """Log time of the first good command [ns]."""
+    receipt_ns: NDArray[np.int64]
+    """(n,) log times since `start` [ns], never falling."""
+    stamp: NDArray[np.float64]
+    """(n,) header stamps since the first one [s]."""
+    position: NDArray[np.float64]
+    """(n, 3) origin of the finger frame in `frame_id` [m]."""
+    orientation: NDArray[np.float64]
+    """(n, 4) orientation of the finger frame, unit quaternions xyzw."""
+    refused: int = 0
+    refusal: str | None = None
+    """Why the first of the refused was refused."""
+    warning: str | None = None
+    """What was wrong with the bag, if it was cut off."""
+
+    def __len__(self) -> int:
+        return len(self.receipt_ns)
+
+    @property
+    def receipt(self) -> NDArray[np.float64]:
+        """(n,) log times since the first command [s]."""
+        return np.multiply(self.receipt_ns, 1e-9, dtype=np.float64)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last command [s]."""
+        return float(self.receipt_ns[-1]) * 1e-9
+
+
+def read_commands(path: str | Path, topic: str | None = None) -> Commands:
+    """The commanded poses in a bag.
+
+    topic : of type PoseStamped; if left out `command_pose` (in any namespace), else the only one of poses
+    Raises BagError when there is no such topic, more than one, another type, or no good command on it.
+    """
+    return commands_of(BagReader(path), topic)
+
+
+def commands_of(reader: BagReader, topic: str | None = None) -> Commands:
+    """As `read_commands`, of a bag that is already open."""
+    chosen = _command_topic(reader, topic)
+    rows: list[tuple[int, int, str, list[float]]] = []
+    for number, message in enumerate(reader.messages([chosen]), start=1):
+        try:
+            pose = cdr.deserialize(message.data, cdr.POSE_STAMPED)
+        except ValueError as error:
+            raise BagError(f"{reader.path}: topic {chosen}, message {number}: {error}") from None
+        p, q, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
+        rows.append(
+            (
+                message.log_time,
+                stamp.sec * 1_000_000_000 + stamp.nanosec,
+                pose.header.frame_id,
+                [p.x, p.y, p.z, q.x, q.y, q.z, q.w],
+            )
+        )
+    if not rows:
+        raise BagError(f"{reader.path}: topic {chosen} has no message")
+    frame_id = Counter(row[2] for row in rows).most_common(1)[0][0]
+    reasons = [_refusal(row[2], row[3], frame_id) for row in rows]
+    good = [row for row, reason in zip(rows, reasons, strict=True) if reason is None]
+    refusals = [f"message {i}: {reason}" for i, reason in enumerate(reasons, start=1) if reason]
+    if not good:
+        raise BagError(f"{reader.path}: topic {chosen} has no good command; {refusals[0]}")
+    start, first_stamp = good[0][0], good[0][1]
+    values = np.array([row[3] for row in good])
+    return Commands(
+        topic=chosen,
+        frame_id=frame_id,
+        start=start,
+        receipt_ns=np.array([row[0] - start for row in good], dtype=np.int64),
+        stamp=np.array([(row[1] - first_stamp) * 1e-9 for row in good]),
+        position=values[:, :3],
+        orientation=values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True),
+        refused=len(refusals),
+        refusal=refusals[0] if refusals else None,
+        warning=reader.warning,
+    )
+
+
+def _refusal(frame: str, values: list[float], frame_id: str) -> str | None:
+    """Why a command must not be used, or None."""
+    if frame != frame_id:
+        return f"frame_id {frame!r}, not {frame_id!r}"
+    if not np.isfinite(values).all():
+        return f"not finite: {values}"
+    if np.linalg.norm(values[3:]) < 1e-6:
+        return f"orientation {values[3:]} is a zero quaternion"
+    return None
+
+
+def _command_topic(reader: BagReader, topic: str | None) -> str:
+    """Name of the topic with the commands."""
+    types = {absolute(t.name): t.type for t in reader.topics}
+    found = ", ".join(f"{name} ({type})" for name, type in types.items()) or "no topic"
+    if topic is not None:
+        name = absolute(topic)
+        if name not in types:
+            raise BagError(f"{reader.path}: no topic {name}; found {found}")
+        if types[name] != cdr.POSE_STAMPED:
+            raise BagError(f"{reader.path}: topic {name} is {types[name]}, allowed: {cdr.POSE_STAMPED}")
+        return name
+    poses = [name for name, type in types.items() if type == cdr.POSE_STAMPED]
+    commands = [name for name in poses if name.endswith("/command_pose")]
+    if "/command_pose" in commands:
+        return "/command_pose"
+    candidates = commands or poses
+    if len(candidates) == 1:
+        return candidates[0]
+    if not candidates:
+        cut = f"; {reader.warning}" if reader.warning else ""
+        raise BagError(f"{reader.path}: no topic of type {cdr.POSE_STAMPED}; found {found}{cut}")
+    several = ", ".join(candidates)
+    raise BagError(f"{reader.path}: several topics of poses: {several}; choose one with --topic")
