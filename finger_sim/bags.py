@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -23,7 +23,20 @@ from . import cdr
 from .bag_sources import Message, Topic, open_source
 from .errors import BagError
 
-__all__ = ["BagReader", "BagWriter", "Commands", "Message", "Qos", "Topic", "absolute", "read_commands"]
+__all__ = [
+    "BagReader",
+    "BagWriter",
+    "Commands",
+    "Message",
+    "Qos",
+    "Topic",
+    "absolute",
+    "read_commands",
+    "write_commands",
+]
+
+START = 1_767_225_600_000_000_000
+"""When bags that saw no clock begin [ns]: 2026-01-01 00:00 UTC, the same every time."""
 
 FLUSH_PERIOD = 0.5
 """Longest time [s] of messages that a killed writer loses."""
@@ -74,10 +87,18 @@ class BagWriter:
 
     path        : folder to make; BagError if it exists or cannot be made
     compression : of the chunks, "zstd" or "none"
+    custom_data : words of yours for the bag's metadata, such as the scene it was made for
     """
 
-    def __init__(self, path: str | Path, *, compression: Literal["zstd", "none"] = "zstd") -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        compression: Literal["zstd", "none"] = "zstd",
+        custom_data: Mapping[str, str] | None = None,
+    ) -> None:
         self.path = Path(path)
+        self.custom_data = dict(custom_data or {})
         self.file = self.path / f"{self.path.name}_0.mcap"
         self._recorded: dict[str, _Recorded] = {}
         self._schemas: dict[str, int] = {}
@@ -270,7 +291,7 @@ class BagWriter:
                     "message_count": count,
                 }
             ],
-            "custom_data": None,
+            "custom_data": self.custom_data or None,
             "ros_distro": "jazzy",
         }
 
@@ -278,6 +299,28 @@ class BagWriter:
 def _mcap_writer(stream: BinaryIO, compression: str) -> Any:
     """The mcap library's writer; Any because its methods carry no types."""
     return Writer(stream, compression=CompressionType.ZSTD if compression == "zstd" else CompressionType.NONE)
+
+
+def write_commands(
+    path: Path,
+    times: Sequence[int],
+    position: NDArray[np.float64],
+    orientation: NDArray[np.float64],
+    *,
+    topic: str = "command_pose",
+    frame_id: str = "world",
+    custom_data: Mapping[str, str] | None = None,
+) -> Path:
+    """Makes a bag of commanded poses (n, 3) [m] and (n, 4) xyzw, received and stamped at `times` [ns].
+
+    custom_data : words for the bag's metadata
+    Raises BagError as BagWriter does.
+    """
+    with BagWriter(path, custom_data=custom_data) as bag:
+        bag.add_topic(topic, cdr.POSE_STAMPED)
+        for time, p, q in zip(times, position, orientation, strict=True):
+            bag.write(topic, cdr.pose_stamped(time, frame_id, p, q), time)
+    return path
 
 
 class BagReader:
