@@ -1,0 +1,45 @@
+"""Command → bone, and what a device is asked to render.
+
+Kinematic coupling: the driven nodes follow the commanded pose exactly, but no faster than the scene allows, so
+that a jump of the command (a tracker that re-acquires, a first message from afar) gives a bounded motion.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .arrays import Floats
+from .rotations import angle, slerp
+from .scene import Coupling, Pose
+
+
+def follow(coupling: Coupling, pose: Pose, command: Pose, dt: float) -> tuple[Pose, bool]:
+    """The pose after `dt` [s] on the way from `pose` to `command`, and whether a speed limit held it back."""
+    fraction = 1.0
+    distance = math.dist(pose.position, command.position)
+    turn = angle(pose.orientation, command.orientation)
+    if distance > coupling.max_speed * dt:
+        fraction = coupling.max_speed * dt / distance
+    if turn > coupling.max_angular_speed * dt:
+        fraction = min(fraction, coupling.max_angular_speed * dt / turn)
+    return (command, False) if fraction == 1.0 else (between(pose, command, fraction), True)
+
+
+def between(a: Pose, b: Pose, fraction: float) -> Pose:
+    """The pose `fraction` of the way from a to b: position on the line, orientation on the shorter arc."""
+    if fraction == 1.0:
+        return b
+    x, y, z = (p + fraction * (q - p) for p, q in zip(a.position, b.position, strict=True))
+    return Pose((x, y, z), slerp(a.orientation, b.orientation, fraction))
+
+
+def device_wrench(coupling: Coupling, contact_wrench: Floats) -> Floats:
+    """The contact wrench (6,) [N, N m], its force and torque each scaled back to the coupling's limits."""
+    wrench = contact_wrench.copy()
+    for part, limit in ((slice(0, 3), coupling.force_limit), (slice(3, 6), coupling.torque_limit)):
+        size = float(np.linalg.norm(wrench[part]))
+        if size > limit:
+            wrench[part] *= limit / size
+    return wrench

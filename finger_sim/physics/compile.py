@@ -1,0 +1,54 @@
+"""`kernel`: how every compiled function of this package is compiled, and where its machine code is kept."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+# Re-association lets reductions vectorise; nnan and ninf stay out, so that a guard such as isfinite works.
+FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
+
+
+@cache
+def cache_folder() -> str:
+    """Folder of compiled kernels, one for each state of the sources.
+
+    numba's own cache looks only at the file of the function itself: after an edit of a callee in another file
+    it would go on using the old one. A folder named by a hash over all sources cannot.
+    """
+    digest = hashlib.sha256(numba.__version__.encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    folder = Path(home) / "finger_sim" / digest.hexdigest()[:16]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return str(folder)
+    except OSError:
+        return str(Path(tempfile.gettempdir()) / f"finger_sim-{os.getuid()}" / folder.name)
+
+
+def compiled_before() -> bool:
+    """Whether kernels of exactly these sources are in the cache: a start will take seconds, not a minute."""
+    return any(Path(cache_folder()).rglob("*.nbc"))
+
+
+def kernel(function: Function) -> Function:
+    """Compile `function` when first called: cached on disk, without the GIL, IEEE division, no NaN assumptions."""
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = cache_folder()
+    try:
+        compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+    return cast(Function, compiled)

@@ -1,0 +1,102 @@
+"""Corotational linear elasticity (Müller & Gross 2004), linearised once a step: the matrix A and the right-hand side.
+
+With R = U Vᵀ and the small strain ε = sym(RᵀF) − I = V (S − I) Vᵀ in material axes,
+
+    P = R (2 μ ε + λ tr ε I) = U (2 μ (S − I) + λ tr(S − I) I) Vᵀ,    f_n = −vol P r_n,
+    K_ab = vol (λ g_a g_bᵀ + μ g_b g_aᵀ + μ (g_a · g_b) I),           g_n = R r_n.
+
+Backward Euler with f(x + h v) ≈ f(x) − h K v (Baraff & Witkin 1998), M lumped, Rayleigh D = α M + β K:
+
+    A v = b,    A = (1 + h α) M + h (h + β) K,    b = M v₀ + h (M g + f(x)).
+
+Driven nodes are no unknowns: their velocity enters as the stress h (h + β) ∂P/∂F : Ḟ_driven on the right.
+"""
+
+from __future__ import annotations
+
+from .compile import kernel
+
+
+@kernel
+def assemble(model, state, h):  # type: ignore[no-untyped-def]
+    """A into state.A_diagonal, A_lower (blocks, slot order) and b into state.rhs (nf, 3).
+
+    state.v holds the velocities of the step's start on free nodes and those of this step on driven ones [m/s].
+    """
+    A_diagonal, A_lower, rhs, G, P = state.A_diagonal, state.A_lower, state.rhs, state.G, state.P
+    A_lower[:] = 0.0
+    mass_factor = 1.0 + h * model.damping_mass
+    for k in range(rhs.shape[0]):
+        n = model.free[k]
+        mass = model.mass[n]
+        for i in range(3):
+            for j in range(3):
+                A_diagonal[k, i, j] = 0.0
+            A_diagonal[k, i, i] = mass_factor * mass
+            rhs[k, i] = mass * (state.v[n, i] + h * model.gravity[i])
+    stiffness_factor = h * (h + model.damping_stiffness)
+    lame_lambda, lame_mu = model.lame_lambda, model.lame_mu
+    for t in range(model.tets.shape[0]):
+        U, s, V, r = state.U[t], state.s[t], state.V[t], model.gradients[t]
+        volume = model.volume[t]
+        trace = s[0] + s[1] + s[2] - 3.0
+        p0 = 2.0 * lame_mu * (s[0] - 1.0) + lame_lambda * trace
+        p1 = 2.0 * lame_mu * (s[1] - 1.0) + lame_lambda * trace
+        p2 = 2.0 * lame_mu * (s[2] - 1.0) + lame_lambda * trace
+        for i in range(3):
+            for j in range(3):
+                P[i, j] = h * (U[i, 0] * p0 * V[j, 0] + U[i, 1] * p1 * V[j, 1] + U[i, 2] * p2 * V[j, 2])
+        for n in range(4):
+            a0 = V[0, 0] * r[n, 0] + V[1, 0] * r[n, 1] + V[2, 0] * r[n, 2]
+            a1 = V[0, 1] * r[n, 0] + V[1, 1] * r[n, 1] + V[2, 1] * r[n, 2]
+            a2 = V[0, 2] * r[n, 0] + V[1, 2] * r[n, 1] + V[2, 2] * r[n, 2]
+            for i in range(3):
+                G[n, i] = U[i, 0] * a0 + U[i, 1] * a1 + U[i, 2] * a2
+        if model.touches_driven[t]:
+            _add_driven_stress(model, state, t, stiffness_factor)
+        for a in range(4):
+            k = model.tet_slot[t, a]
+            if k < 0:
+                continue
+            for i in range(3):
+                rhs[k, i] -= volume * (P[i, 0] * r[a, 0] + P[i, 1] * r[a, 1] + P[i, 2] * r[a, 2])
+        for e in range(10):
+            block = model.tet_block[t, e]
+            if block == -1:
+                continue
+            a, b = model.pair_row[t, e], model.pair_column[t, e]
+            w_lambda = stiffness_factor * volume * lame_lambda
+            w_mu = stiffness_factor * volume * lame_mu
+            dot = w_mu * (G[a, 0] * G[b, 0] + G[a, 1] * G[b, 1] + G[a, 2] * G[b, 2])
+            B = A_lower[block] if a != b else A_diagonal[block]
+            for i in range(3):
+                for j in range(3):
+                    B[i, j] += w_lambda * G[a, i] * G[b, j] + w_mu * G[b, i] * G[a, j]
+                B[i, i] += dot
+
+
+@kernel
+def _add_driven_stress(model, state, t, factor):  # type: ignore[no-untyped-def]
+    """state.P += factor ∂P/∂F : Ḟ for the velocity gradient Ḟ that the driven nodes alone give tetrahedron t."""
+    D, E, P, G = state.D, state.E, state.P, state.G
+    for i in range(3):
+        for j in range(3):
+            D[i, j] = 0.0
+    # world-axes velocity gradient: Σ v_n g_nᵀ = Ḟ Rᵀ, so that R sym(RᵀḞ) = sym(D) R
+    for n in range(4):
+        if model.tet_slot[t, n] < 0:
+            v = state.v[model.tets[t, n]]
+            for i in range(3):
+                for j in range(3):
+                    D[i, j] += v[i] * G[n, j]
+    pressure = factor * model.lame_lambda * (D[0, 0] + D[1, 1] + D[2, 2])
+    for i in range(3):
+        for j in range(3):
+            E[i, j] = factor * model.lame_mu * (D[i, j] + D[j, i])
+        E[i, i] += pressure
+    U, V = state.U[t], state.V[t]
+    for i in range(3):
+        for k in range(3):
+            e = E[i, 0] * U[0, k] + E[i, 1] * U[1, k] + E[i, 2] * U[2, k]
+            for j in range(3):
+                P[i, j] += e * V[j, k]

@@ -1,0 +1,156 @@
+"""One step of the method, as the paper tells it in Section 4. Start here."""
+
+from __future__ import annotations
+
+import enum
+import math
+
+from .compile import kernel
+from .contact import contact_rows, deepest, store_contact
+from .elasticity import assemble
+from .kinematics import kinematics
+from .linear_solver import factor, solve
+from .pgs import apply_rows, delassus, solve_rows
+from .strain_limits import NONE, limit_rows, strain_ratio
+
+
+class Status(enum.IntFlag):
+    """What a step has to say; 0: all well."""
+
+    OK = 0
+    NONFINITE = 1  # the step gave a number that is not finite; it was not taken
+    INVERTED = 2  # a tetrahedron is inside out
+    ITERATION_LIMIT = 4  # the solver stopped before its tolerance: best iterate used
+    STEP_REJECTED = 8  # the step was not taken; the body was moved rigidly with its bone
+    LOCKED = 16  # a tetrahedron has more rows at their limit than ways to deform
+    ROW_LIMIT = 32  # more rows near their limit than the arrays hold: the others were left out
+    COMMAND_LIMITED = 64  # the command moved faster than the coupling allows and is being caught up with
+
+
+# Where `step` writes what it reports, in State.result.
+STATUS, ITERATIONS, RESIDUAL, LIMIT_ROWS, LIMITED_TETS, STRAIN_RATIO, CONTACTS, PENETRATION = range(8)
+
+_REJECTED = int(Status.NONFINITE | Status.STEP_REJECTED)
+_ROW_LIMIT, _ITERATION_LIMIT = int(Status.ROW_LIMIT), int(Status.ITERATION_LIMIT)
+_LOCKED, _INVERTED = int(Status.LOCKED), int(Status.INVERTED)
+
+
+@kernel
+def step(model, state, h):  # type: ignore[no-untyped-def]
+    """Advance `state` by h [s] towards state.targets; what happened goes into state.result.
+
+    state.F, U, s, V hold the kinematics of the start (Eq. 1-4), those of the end are left for the next step.
+    """
+    state.result[:] = 0.0
+    drive(model, state, h)
+
+    assemble(model, state, h)  # A and b: backward Euler, forces linearised at the start
+    definite = factor(model.pattern, state.A_diagonal, state.A_lower, state.A_inverse)
+    free_velocity(model, state)  # v_free = A⁻¹ b: the unconstrained step
+
+    status = 0
+    contacts = rows = 0
+    if model.has_plane:
+        rows = contact_rows(model, state, h, rows)
+        if rows < 0:
+            rows, status = (state.lam.shape[0] // 3) * 3, status | _ROW_LIMIT
+        contacts = rows
+    if model.projection != NONE:
+        rows = limit_rows(model, state, h, rows)  # Eq. 9-12, linearised (Eq. 13-18)
+        if rows < 0:
+            rows, status = state.lam.shape[0], status | _ROW_LIMIT
+    if rows > 0:
+        delassus(model, state, h, rows)
+        sweeps, residual = solve_rows(model, state, contacts, rows)
+        apply_rows(model, state, h, rows)  # v = v_free + h A⁻¹ Jᵀ λ
+        state.result[ITERATIONS], state.result[RESIDUAL] = sweeps, residual
+        if not residual <= model.tolerance:
+            status |= _ITERATION_LIMIT
+
+    if not (definite and finite(state.v)):
+        reject(model, state)
+        state.result[STATUS] = _REJECTED
+        return
+    integrate(model, state, h)  # x += h v
+    kinematics(model, state)
+    state.result[STATUS] = status
+    observe(model, state, contacts, rows)
+
+
+@kernel
+def drive(model, state, h):  # type: ignore[no-untyped-def]
+    """Velocities that take the driven nodes to their targets in this step."""
+    state.old[:] = state.v
+    for d in range(model.driven.shape[0]):
+        n = model.driven[d]
+        for i in range(3):
+            state.v[n, i] = (state.targets[d, i] - state.x[n, i]) / h
+
+
+@kernel
+def free_velocity(model, state):  # type: ignore[no-untyped-def]
+    """Unconstrained velocities of the free nodes into state.v."""
+    solve(model.pattern, state.A_lower, state.A_inverse, state.rhs)
+    for k in range(model.free.shape[0]):
+        for i in range(3):
+            state.v[model.free[k], i] = state.rhs[k, i]
+
+
+@kernel
+def finite(v):  # type: ignore[no-untyped-def]
+    """Whether every velocity is a finite number."""
+    total = 0.0
+    for n in range(v.shape[0]):
+        total += abs(v[n, 0]) + abs(v[n, 1]) + abs(v[n, 2])
+    return total < math.inf
+
+
+@kernel
+def reject(model, state):  # type: ignore[no-untyped-def]
+    """Take back a step that went wrong: velocities as before, no row force to start the next one from."""
+    state.v[:] = state.old
+    state.warm_limit[:] = 0.0
+    state.contact_force[:] = 0.0
+
+
+@kernel
+def integrate(model, state, h):  # type: ignore[no-untyped-def]
+    """Positions at the end of the step; driven nodes are at their targets exactly."""
+    for n in range(state.x.shape[0]):
+        for i in range(3):
+            state.x[n, i] += h * state.v[n, i]
+    for d in range(model.driven.shape[0]):
+        for i in range(3):
+            state.x[model.driven[d], i] = state.targets[d, i]
+
+
+@kernel
+def observe(model, state, contacts, rows):  # type: ignore[no-untyped-def]
+    """What the step reports, and the row forces that the next one starts from."""
+    result = state.result
+    status = int(result[STATUS])
+    if model.has_plane:
+        result[CONTACTS] = store_contact(model, state, contacts)
+        result[PENETRATION] = deepest(model, state)
+    if model.projection != NONE:
+        strain_ratio(model, state)
+        state.warm_limit[:] = 0.0
+        state.active_rows[:] = 0
+        for row in range(contacts, rows):
+            if state.lam[row] > 0.0:
+                t, key = state.row_tet[row], state.row_key[row]
+                state.active_rows[t] += 1
+                stretched = state.row_side[row]
+                state.warm_limit[t, key // 3, key % 3] = state.lam[row] * stretched
+    for t in range(model.tets.shape[0]):
+        active = state.active_rows[t]
+        result[LIMIT_ROWS] += active
+        if active > 0:
+            result[LIMITED_TETS] += 1.0
+            if active > min(6, 3 * model.tet_moves[t]):
+                status |= _LOCKED
+        result[STRAIN_RATIO] = max(result[STRAIN_RATIO], state.strain_ratio[t])
+        s = state.s[t]
+        if s[0] < 0.0 or s[1] < 0.0 or s[2] < 0.0:
+            status |= _INVERTED
+    result[STATUS] = status

@@ -1,0 +1,190 @@
+r"""Strain limits: the rows C ≥ 0 of one tetrahedron and their gradients.
+
+With F = U diag(s) Vᵀ in material axes, stretch room a⁺_j = s_max,j − 1 and compression room a⁻_j = 1 − s_min,j:
+
+* `hyperbolic` (Eq. 7-8, 11-12): C_ij = a_j − |V_ji| |s_i − 1|, up to nine rows; the sign of s_i − 1 picks a⁺ or a⁻,
+  a free axis j (a_j = ∞) has none. Gradient with the full derivative of V (Eq. 13-18):
+  ∂|V_ji|/∂F = sign(V_ji) Σ_{k≠i} V_jk (s_k u_k v_iᵀ + s_i u_i v_kᵀ) / (s_i² − s_k²).
+* `isotropic` (Eq. 9-10): C_i = a − |s_i − 1|, up to three rows, ∂s_i/∂F = u_i v_iᵀ.
+
+The denominator vanishes where singular values cross (and at s_i = −s_k, inverted): its magnitude is kept at
+`gap` or more. A row of a tetrahedron becomes a row of the step by ∂C/∂x_n = (∂C/∂F) r_n.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..arrays import Floats
+from ..scene import Limits
+from .compile import kernel
+from .kinematics import signed_svd
+
+NONE, HYPERBOLIC, ISOTROPIC = 0, 1, 2
+PROJECTIONS = {"hyperbolic": HYPERBOLIC, "isotropic": ISOTROPIC}
+
+SOLVER_GAP = 0.03  # |s_i² − s_k²| in a step's rows: what keeps a force near crossing singular values from exploding
+EXACT_GAP = 1e-12  # in `evaluate`: the plain derivative
+_MARGIN = 0.15  # rows closer to their limit than this part of its room are formed
+_RATIO_ROOM = 1e-3  # strain/limit is counted in units of the room, but of no less than this
+
+
+def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floats, Floats]:
+    """All limit rows of one tetrahedron with deformation gradient F, whether near their limit or not.
+
+    F (3, 3) with columns in the material axes e1, e2, e3. Returns C (m,), dC_dF (m, 3, 3); C ≥ 0 is inside.
+    `gap` bounds |s_i² − s_k²| from below in the gradient; a step uses SOLVER_GAP.
+    Raises ValueError when F is not a finite 3 × 3 matrix.
+    """
+    F = np.array(F, dtype=np.float64)
+    if F.shape != (3, 3) or not np.isfinite(F).all():
+        raise ValueError(f"F: got {F!r}, allowed: a finite 3 x 3 matrix")
+    U, s, V = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    signed_svd(F, U, s, V)
+    projection = PROJECTIONS[limits.projection]
+    stretch, compress = limits.stretch_room, limits.compress_room
+    C: list[float] = []
+    gradients: list[Any] = []
+    for i in range(3):
+        for j in range(3 if projection == HYPERBOLIC else 1):
+            room = stretch[j] if s[i] >= 1.0 else compress[j]
+            if np.isfinite(room):
+                dC_dF = np.empty((3, 3))
+                gradient(projection, U, s, V, i, j, gap, dC_dF)
+                C.append(float(room - used(projection, s, V, i, j)))
+                gradients.append(dC_dF)
+    return np.array(C), np.array(gradients).reshape(-1, 3, 3)
+
+
+@kernel
+def used(projection, s, V, i, j):  # type: ignore[no-untyped-def]
+    """How much of its room row (i, j) has used up: C = room − used."""
+    return abs(s[i] - 1.0) * (abs(V[j, i]) if projection == HYPERBOLIC else 1.0)
+
+
+@kernel
+def gradient(projection, U, s, V, i, j, gap, dC_dF):  # type: ignore[no-untyped-def]
+    """∂C/∂F of row (i, j) into dC_dF (3, 3) (Eq. 13, 17, 18; isotropic: Eq. 13 alone)."""
+    side = -1.0 if s[i] >= 1.0 else 1.0
+    along = side
+    if projection == HYPERBOLIC:
+        along = side * abs(V[j, i])
+    for k in range(3):
+        for l in range(3):
+            dC_dF[k, l] = along * U[k, i] * V[l, i]
+    if projection != HYPERBOLIC:
+        return
+    turn = side * (s[i] - 1.0) * (1.0 if V[j, i] >= 0.0 else -1.0)
+    for m in range(3):
+        if m == i:
+            continue
+        difference = s[i] * s[i] - s[m] * s[m]
+        if abs(difference) < gap:
+            difference = gap if difference >= 0.0 else -gap
+        w = turn * V[j, m] / difference
+        for k in range(3):
+            for l in range(3):
+                dC_dF[k, l] += w * (s[m] * U[k, m] * V[l, i] + s[i] * U[k, i] * V[l, m])
+
+
+@kernel
+def strain_ratio(model, state):  # type: ignore[no-untyped-def]
+    """strain/limit of every tetrahedron into state.strain_ratio (T,): 1 is exactly at its nearest limit."""
+    axes = 3 if model.projection == HYPERBOLIC else 1
+    for t in range(model.tets.shape[0]):
+        s, V = state.s[t], state.V[t]
+        worst = 0.0
+        for i in range(3):
+            for j in range(axes):
+                room = model.stretch_room[j] if s[i] >= 1.0 else model.compress_room[j]
+                if room < math.inf:
+                    excess = used(model.projection, s, V, i, j) - room
+                    worst = max(worst, 1.0 + excess / max(room, _RATIO_ROOM))
+        state.strain_ratio[t] = worst
+
+
+@kernel
+def limit_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
+    """Append the rows that are near their limit, now or after the unconstrained step; return the number of rows.
+
+    Writes state.J (rows, 4, 3) [1/m], row_slot, constant C + h J v_free, compliance [1/(N m)], scale (N per unit
+    of λ), lam (warm start [N m]) and the row's key: tetrahedron, i, j. -1 when the arrays hold no more rows.
+    """
+    axes = 3 if model.projection == HYPERBOLIC else 1
+    dC_dF = state.E
+    for o in range(model.tets.shape[0]):
+        t = model.tet_order[o]
+        if not model.tet_moves[t]:
+            continue
+        U, s, V, r = state.U[t], state.s[t], state.V[t], model.gradients[t]
+        reach = -1.0
+        for i in range(3):
+            stretched = s[i] >= 1.0
+            for j in range(axes):
+                room = model.stretch_room[j] if stretched else model.compress_room[j]
+                if not room < math.inf:
+                    continue
+                C = room - used(model.projection, s, V, i, j)
+                near = _MARGIN * room
+                if C > near:
+                    if reach < 0.0:
+                        reach = _strain_increment(model, state, t, h)
+                    if C - reach > near:
+                        continue
+                gradient(model.projection, U, s, V, i, j, SOLVER_GAP, dC_dF)
+                ahead = C
+                force = 0.0
+                if rows >= state.lam.shape[0]:
+                    return -1
+                J = state.J[rows]
+                for n in range(4):
+                    v = state.v[model.tets[t, n]]
+                    for k in range(3):
+                        g = dC_dF[k, 0] * r[n, 0] + dC_dF[k, 1] * r[n, 1] + dC_dF[k, 2] * r[n, 2]
+                        J[n, k] = g
+                        ahead += h * g * v[k]
+                        force += g * g
+                if C > near and ahead > near:
+                    continue
+                for n in range(4):
+                    state.row_slot[rows, n] = model.tet_slot[t, n]
+                state.row_tet[rows] = t
+                state.row_key[rows] = 3 * i + j
+                state.row_side[rows] = 1.0 if stretched else -1.0
+                state.constant[rows] = ahead
+                state.compliance[rows] = model.limit_compliance / model.volume[t]
+                state.scale[rows] = math.sqrt(0.5 * force)
+                same_side = (state.warm_limit[t, i, j] > 0.0) == stretched
+                state.lam[rows] = abs(state.warm_limit[t, i, j]) if same_side else 0.0
+                rows += 1
+    return rows
+
+
+@kernel
+def _strain_increment(model, state, t, h):  # type: ignore[no-untyped-def]
+    """First-order bound on the change of any singular value of tetrahedron t in this step: h |sym(RᵀḞ)|."""
+    D, r, U, V = state.D, model.gradients[t], state.U[t], state.V[t]
+    for i in range(3):
+        for j in range(3):
+            D[i, j] = 0.0
+    for n in range(4):
+        v = state.v[model.tets[t, n]]
+        a0 = v[0] * U[0, 0] + v[1] * U[1, 0] + v[2] * U[2, 0]
+        a1 = v[0] * U[0, 1] + v[1] * U[1, 1] + v[2] * U[2, 1]
+        a2 = v[0] * U[0, 2] + v[1] * U[1, 2] + v[2] * U[2, 2]
+        for j in range(3):
+            b = r[n, 0] * V[0, j] + r[n, 1] * V[1, j] + r[n, 2] * V[2, j]
+            D[0, j] += a0 * b
+            D[1, j] += a1 * b
+            D[2, j] += a2 * b
+    total = 0.0
+    for i in range(3):
+        total += D[i, i] * D[i, i]
+        for j in range(i):
+            shear = 0.5 * (D[i, j] + D[j, i])
+            total += 2.0 * shear * shear
+    return h * math.sqrt(total)

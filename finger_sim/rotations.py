@@ -1,0 +1,48 @@
+"""Unit quaternions x y z w, as plain numbers: what a step needs of them, without allocation-heavy libraries."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .arrays import Floats
+
+Quaternion = tuple[float, float, float, float]
+
+
+def matrix(q: Quaternion) -> Floats:
+    """Rotation matrix (3, 3) of a unit quaternion."""
+    x, y, z, w = q
+    return np.array([
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ])
+
+
+def normalised(q: Quaternion) -> Quaternion:
+    """The unit quaternion of the same rotation; `q` must not be zero."""
+    norm = math.hypot(*q)
+    return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
+
+
+def angle(a: Quaternion, b: Quaternion) -> float:
+    """Angle between two orientations [rad], 0 to π; q and −q are the same."""
+    apart = math.dist(a, b)
+    opposite = math.hypot(*(i + j for i, j in zip(a, b, strict=True)))
+    return 4.0 * math.atan2(min(apart, opposite), max(apart, opposite))
+
+
+def slerp(a: Quaternion, b: Quaternion, fraction: float) -> Quaternion:
+    """The orientation `fraction` of the shorter way from a to b (Shoemake 1985)."""
+    dot = sum(i * j for i, j in zip(a, b, strict=True))
+    if dot < 0.0:
+        b, dot = (-b[0], -b[1], -b[2], -b[3]), -dot
+    half = math.acos(min(1.0, dot))
+    if half < 1e-6:
+        wa, wb = 1.0 - fraction, fraction
+    else:
+        wa, wb = math.sin((1.0 - fraction) * half) / math.sin(half), math.sin(fraction * half) / math.sin(half)
+    x, y, z, w = (wa * i + wb * j for i, j in zip(a, b, strict=True))
+    return normalised((x, y, z, w))

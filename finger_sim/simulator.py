@@ -1,0 +1,229 @@
+"""`Simulator`: a scene that can be stepped. Owns the arrays; turns the kernel's status into results."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .arrays import Floats
+from .coupling import between, device_wrench, follow
+from .errors import SceneError
+from .fields import specs
+from .mesh import TetMesh
+from .physics import step as stepping
+from .physics.compile import compiled_before
+from .physics.kinematics import kinematics
+from .physics.model import build_model, build_state, live_values
+from .physics.step import Status
+from .physics.strain_limits import NONE, strain_ratio
+from .rotations import matrix, normalised
+from .scene import Pose, Scene
+
+Progress = Callable[[str], None]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class StepResult:
+    """What one step gives. Wrenches are of the plane on the finger, world axes, about the finger frame's origin."""
+
+    time: float  # end of the step [s]
+    contact_wrench: Floats  # (6,) force [N] and torque [N m]
+    device_wrench: Floats  # (6,) what a device is to render: clamped
+    pose: Pose  # the simulated finger frame, world
+    iterations: int  # solver sweeps
+    residual: float  # see Solver.tolerance
+    status: Status  # 0: all well
+    limited_tets: int  # tetrahedra held by at least one limit
+    limit_rows: int  # limit rows that carry a force
+    max_strain_ratio: float  # largest strain/limit, 1: exactly at the limit; 0 without limits
+    contacts: int  # nodes that carry a contact force
+    max_penetration: float  # deepest surface node [m], 0 when none
+
+
+class Simulator:
+    """A soft body on its scene, stepped by `scene.dt`.
+
+    A command maps the mesh as read into the world (`Pose`). The body starts at rest at `scene.initial_pose`.
+    `progress` is told in short texts what is going on while kernels compile or load.
+    Raises MeshError when the scene's mesh cannot be used.
+    """
+
+    def __init__(self, scene: Scene, progress: Progress | None = None) -> None:
+        tell = progress or (lambda text: None)
+        self.scene = scene
+        self.mesh: TetMesh = scene.load_mesh()
+        tell(f"mesh: {len(self.mesh.tets)} tetrahedra, {len(self.mesh.points)} nodes")
+        self._model = build_model(scene, self.mesh)
+        self._state = build_state(self._model, self.mesh.points)
+        self._rest_driven = self.mesh.points[self._model.driven]
+        self._driven = scene.driven is not None
+        self._command = scene.initial_pose
+        if compiled_before():
+            tell("loading compiled kernels")
+        else:
+            tell("compiling kernels: once for this version, up to a minute")
+        self._warm_up()
+        self.reset(scene.initial_pose)
+        tell("ready")
+
+    def step(self, command: Pose | None = None) -> StepResult:
+        """Advance by `scene.dt` towards `command`; None holds the last one. A free body takes no command.
+
+        Raises SceneError when the command is not finite or its quaternion is zero; the state is then unchanged.
+        """
+        if command is not None:
+            self._command = _checked(command)
+        scene, state = self.scene, self._state
+        start, limited = self.pose, False
+        end = start
+        if self._driven:
+            end, limited = follow(scene.coupling, start, self._command, scene.dt)
+        h = scene.dt / scene.substeps
+        status, iterations, residual = Status.COMMAND_LIMITED if limited else Status.OK, 0, 0.0
+        for substep in range(1, scene.substeps + 1):
+            before, self.pose = self.pose, between(start, end, substep / scene.substeps)
+            if self._driven:
+                state.targets[:] = placed(self._rest_driven, self.pose)
+            stepping.step(self._model, state, h)
+            status |= Status(int(state.result[stepping.STATUS]))
+            if status & Status.STEP_REJECTED:
+                self._move_rigidly(before, self.pose, h)
+            iterations += int(state.result[stepping.ITERATIONS])
+            residual = max(residual, float(state.result[stepping.RESIDUAL]))
+        if not self._driven:
+            self.pose = self._best_fit()
+        self._steps += 1
+        wrench = self._contact_wrench()
+        result = state.result
+        return StepResult(
+            time=self.time,
+            contact_wrench=wrench,
+            device_wrench=device_wrench(scene.coupling, wrench),
+            pose=self.pose,
+            iterations=iterations,
+            residual=residual,
+            status=status,
+            limited_tets=int(result[stepping.LIMITED_TETS]),
+            limit_rows=int(result[stepping.LIMIT_ROWS]),
+            max_strain_ratio=float(result[stepping.STRAIN_RATIO]),
+            contacts=int(result[stepping.CONTACTS]),
+            max_penetration=float(result[stepping.PENETRATION]),
+        )
+
+    def reset(self, pose: Pose | None = None) -> None:
+        """Back to rest at `pose` (default: the last command), at time 0."""
+        if pose is not None:
+            self._command = _checked(pose)
+        self.pose = self._command
+        self._steps = 0
+        positions = placed(self.mesh.points, self.pose)
+        self.set_state(positions, np.zeros_like(positions))
+
+    def set_state(self, positions: Floats, velocities: Floats) -> None:
+        """Put the nodes at `positions` [m] with `velocities` [m/s], both (n, 3), world; row forces are forgotten.
+
+        Raises SceneError when a shape is wrong or a number is not finite.
+        """
+        state = self._state
+        for name, given, array in (("positions", positions, state.x), ("velocities", velocities, state.v)):
+            value = np.asarray(given, np.float64)
+            if value.shape != array.shape or not np.isfinite(value).all():
+                raise SceneError(name, f"shape {value.shape}", f"finite numbers of shape {array.shape}")
+            array[:] = value
+        for array in (state.contact_force, state.warm_limit, state.active_rows, state.result):
+            array[:] = 0
+        kinematics(self._model, state)
+        if self._model.projection != NONE:
+            strain_ratio(self._model, state)
+
+    def apply(self, values: Mapping[str, Any]) -> None:
+        """Change live values of the scene (dotted keys, e.g. {"plane.friction": 0.3}) between two steps.
+
+        All or none. Raises SceneError when one is out of range, or needs a new Simulator.
+        """
+        live = {p.name for p in self.scene.parameters() if p.spec.live}
+        for key, value in values.items():
+            if key not in live:
+                raise SceneError(key, value, f"values that may change while running: {', '.join(sorted(live))}")
+        self.scene = self.scene.with_values(values)
+        self._model = self._model._replace(**live_values(self.scene))
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the last reset [s]."""
+        return self._steps * self.scene.dt
+
+    @property
+    def positions(self) -> Floats:
+        """Node positions (n, 3) [m], world, read-only; a view that the next step changes."""
+        return _read_only(self._state.x)
+
+    @property
+    def velocities(self) -> Floats:
+        """Node velocities (n, 3) [m/s], world, read-only."""
+        return _read_only(self._state.v)
+
+    @property
+    def contact_forces(self) -> Floats:
+        """Force of the plane on each node (n, 3) [N], world, read-only."""
+        return _read_only(self._state.contact_force)
+
+    @property
+    def strain_ratio(self) -> Floats:
+        """strain/limit of each tetrahedron (T,), 1: exactly at its limit, 0 without limits; read-only."""
+        return _read_only(self._state.strain_ratio)
+
+    def _contact_wrench(self) -> Floats:
+        forces = self._state.contact_force
+        arms = self._state.x - np.array(self.pose.position)
+        return np.concatenate([forces.sum(axis=0), np.cross(arms, forces).sum(axis=0)])
+
+    def _move_rigidly(self, before: Pose, after: Pose, h: float) -> None:
+        """After a rejected step: every node goes with the bone, so that the next step starts from a sound body."""
+        if not self._driven:
+            return
+        state = self._state
+        turn = matrix(after.orientation) @ matrix(before.orientation).T
+        moved = (state.x - np.array(before.position)) @ turn.T + np.array(after.position)
+        self.set_state(moved, (moved - state.x) / h)
+
+    def _best_fit(self) -> Pose:
+        """Frame of a free body: the rigid motion of the rest mesh nearest to the nodes, by mass."""
+        mass, x, X = self._model.mass, self._state.x, self.mesh.points
+        centre, rest_centre = (mass @ x / mass.sum(), mass @ X / mass.sum())
+        turn, _ = Rotation.align_vectors(x - centre, X - rest_centre, weights=mass)
+        px, py, pz = centre - turn.apply(rest_centre)
+        qx, qy, qz, qw = turn.as_quat()
+        return Pose((float(px), float(py), float(pz)), (float(qx), float(qy), float(qz), float(qw)))
+
+    def _warm_up(self) -> None:
+        """Compile or load every kernel that a run will call."""
+        self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
+        self._state.targets[:] = self._rest_driven
+        stepping.step(self._model, self._state, self.scene.dt / self.scene.substeps)
+
+
+def placed(points: Floats, pose: Pose) -> Floats:
+    """Mesh points (k, 3) taken to the world: R X + p."""
+    return points @ matrix(pose.orientation).T + np.array(pose.position)
+
+
+def _checked(pose: Pose) -> Pose:
+    """The pose with a unit quaternion. Raises SceneError when it cannot be one."""
+    position, orientation = pose.position, pose.orientation
+    if not all(map(math.isfinite, position)) or max(map(abs, position)) > 1e4:
+        raise SceneError("command.position", position, specs(Pose)["position"].allowed)
+    if not all(map(math.isfinite, orientation)) or math.hypot(*orientation) < 1e-9:
+        raise SceneError("command.orientation", orientation, specs(Pose)["orientation"].allowed)
+    return Pose(position, normalised(orientation))
+
+
+def _read_only(array: Floats) -> Floats:
+    view = array.view()
+    view.setflags(write=False)
+    return view
