@@ -1,0 +1,132 @@
+"""The node's report on /diagnostics: one status, its level the worst of what it says."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from .loop import Progress, RateLoop
+from .outputs import Outputs
+from .stepper import Stepper, Window
+
+STALL = 0.5
+"""Time without a step after which the loop counts as stalled [s]."""
+
+
+@dataclasses.dataclass
+class Refusals:
+    """Commands that were not followed."""
+
+    count: int = 0
+    reason: str = ""
+
+
+class Reporter:
+    """Makes a DiagnosticArray of the time since the last one; called from one thread."""
+
+    def __init__(self, loop: RateLoop, stepper: Stepper, outputs: Outputs, refusals: Refusals) -> None:
+        self._loop, self._stepper, self._outputs, self._refusals = loop, stepper, outputs, refusals
+        self._before: Progress | None = None
+        self._reported = 0.0
+        self._refused = self._dropped = 0
+
+    def report(self, stamp: Any, starting: str) -> DiagnosticArray:
+        """The report at `stamp` (a Time message); `starting` says what goes on until the loop is ready."""
+        problems: list[tuple[int, str]] = []
+        values: dict[str, str] = {}
+        if self._loop.ready:
+            self._steps(values, problems)
+        else:
+            problems.append((1, f"starting: {starting}"))
+        if self._loop.error is not None:
+            problems.append((2, f"the loop ended: {self._loop.error}"))
+        self._commands(values, problems)
+        self._recording(values, problems)
+        level = max((level for level, _ in problems), default=0)
+        status = DiagnosticStatus(
+            level=bytes([level]),
+            name="finger: simulation",
+            hardware_id="finger_sim",
+            message="; ".join(text for _, text in problems) or "ok",
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = stamp
+        return array
+
+    def _steps(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
+        loop, period = self._loop, self._loop.period
+        now, progress = time.monotonic(), loop.progress
+        before = self._before or Progress(0, 0, 0, progress.begin, progress.begin)
+        wall = max(now - (self._reported or progress.begin), 1e-9)
+        self._before, self._reported = progress, now
+        window, self._stepper.window = self._stepper.window, Window()
+        steps = progress.steps - before.steps
+        factor = steps * period / wall
+        overall = progress.steps * period / max(now - progress.begin, 1e-9)
+        median, p99 = loop.step_time.percentiles(50, 99)
+        late_median, late_p99 = loop.lateness.percentiles(50, 99)
+        delay_median, delay_p99 = self._stepper.delay.percentiles(50, 99)
+        damping = self._outputs.options.device_damping
+        values.update(
+            {
+                "real-time factor": f"{factor:.4f}",
+                "real-time factor since start": f"{overall:.4f}",
+                "rate [Hz]": f"{steps / wall:.1f}",
+                "step time p50 [ms]": f"{median * 1e3:.3f}",
+                "step time p99 [ms]": f"{p99 * 1e3:.3f}",
+                "lateness p50 [ms]": f"{late_median * 1e3:.3f}",
+                "lateness p99 [ms]": f"{late_p99 * 1e3:.3f}",
+                "steps": str(progress.steps),
+                "late steps": str(progress.late),
+                "overruns": str(progress.overruns),
+                "iterations": str(window.iterations),
+                "residual": f"{window.residual:.3g}",
+                "active rows": str(window.limit_rows),
+                "limited tets": str(window.limited_tets),
+                "contacts": str(window.contacts),
+                "max strain/limit": f"{window.max_strain_ratio:.4f}",
+                "penetration [mm]": f"{window.max_penetration * 1e3:.5f}",
+                "status": (window.status.name if window.status else None) or "OK",
+                "steps with status": str(window.troubled),
+                "loop delay p50 [ms]": f"{delay_median * 1e3:.3f}",
+                "loop delay p99 [ms]": f"{delay_p99 * 1e3:.3f}",
+                "stable stiffness at that delay [N/m]": f"{damping / (period / 2 + delay_p99):.0f}",
+            }
+        )
+        quiet = now - progress.last
+        if quiet > max(STALL, 5 * period):
+            problems.append((2, f"the loop is stalled: no step for {quiet:.1f} s"))
+        elif factor < 0.99:
+            problems.append((1, f"slower than real time: factor {factor:.3f}"))
+        if progress.overruns > before.overruns:
+            problems.append((1, f"{progress.overruns - before.overruns} steps skipped"))
+        if window.status:
+            problems.append((1, f"{window.status.name} in {window.troubled} of {window.steps} steps"))
+
+    def _commands(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
+        command, refusals = self._stepper.newest, self._refusals
+        age = f"{time.monotonic() - command.received:.3f}" if command else "no command yet"
+        values["command age [s]"] = age
+        values["refused commands"] = str(refusals.count)
+        if refusals.count:
+            values["last refusal"] = refusals.reason
+        if self._stepper.stale:
+            problems.append((1, "command is stale: holding the pose"))
+        if refusals.count > self._refused:
+            problems.append((1, f"{refusals.count - self._refused} commands refused: {refusals.reason}"))
+        self._refused = refusals.count
+
+    def _recording(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
+        recorder = self._outputs.recorder
+        values["recording"] = str(recorder.path) if recorder and recorder.active else "off"
+        values["recorded messages"] = str(recorder.written if recorder else 0)
+        values["dropped records"] = str(dropped := recorder.dropped if recorder else 0)
+        if recorder and recorder.error:
+            problems.append((2, f"recording stopped: {recorder.error}"))
+        if dropped > self._dropped:
+            problems.append((1, f"{dropped - self._dropped} records dropped: the disk is too slow"))
+        self._dropped = dropped

@@ -1,0 +1,171 @@
+"""Arrays to messages and back: a `Template` per outgoing topic, and the check of what comes in.
+
+An outgoing message has the same shape every time. Its `Template` is serialised once by rclpy, and the places
+of its numbers are found by marks; each step writes stamp and numbers into those bytes, which are published
+and recorded as they are. That costs a fifth of filling and serialising the message, and a number can only
+ever be written as the float64 or float32 that the field is.
+"""
+
+from __future__ import annotations
+
+import array
+import math
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Point, PoseStamped, WrenchStamped
+from geometry_msgs.msg import Pose as PoseMessage
+from numpy.typing import NDArray
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import PointCloud2, PointField
+from shape_msgs.msg import Mesh, MeshTriangle
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker
+
+from ..arrays import Floats
+from ..fields import specs
+from ..layout import FLOAT32, POINT_FIELDS, POINT_STEP
+from ..scene import Pose
+
+_STAMP = struct.Struct("<iI")
+_STAMP_OFFSET = 4
+"""Where a message that begins with a header has its stamp: after the 4 bytes that name the encoding."""
+
+_POSITION = specs(Pose)["position"]
+
+RAMP = np.array(
+    [[0.16, 0.30, 0.62], [0.22, 0.62, 0.75], [0.62, 0.82, 0.47], [0.97, 0.76, 0.26], [0.80, 0.16, 0.16]]
+)
+"""Colours (5, 3) of mesh_marker for 0, ¼, ½, ¾ and 1 (at the limit)."""
+
+
+class Template:
+    """The CDR bytes of a message whose numbers change and whose shape does not.
+
+    message : begins with a header and holds the `marks`
+    marks   : bytes of each block of numbers as the message holds it, each found exactly once
+    """
+
+    def __init__(self, message: Any, *marks: bytes) -> None:
+        cdr = serialize_message(message)
+        assert cdr[:2] == b"\x00\x01", "little-endian CDR"
+        assert all(cdr.count(mark) == 1 for mark in marks), "marks that occur once"
+        self._bytes = bytearray(cdr)
+        self._places = [slice(at := cdr.index(mark), at + len(mark)) for mark in marks]
+
+    def fill(self, stamp: int, *blocks: bytes) -> bytes:
+        """The message at `stamp` [ns] with its blocks replaced by others of the same length."""
+        _STAMP.pack_into(self._bytes, _STAMP_OFFSET, *divmod(stamp, 1_000_000_000))
+        for place, block in zip(self._places, blocks, strict=True):
+            if len(block) != place.stop - place.start:
+                raise ValueError(f"a block of {len(block)} bytes where {place.stop - place.start} belong")
+            self._bytes[place] = block
+        return bytes(self._bytes)
+
+
+def doubles(values: Sequence[float] | NDArray[Any]) -> bytes:
+    """Numbers as the bytes of float64 fields."""
+    return np.asarray(values, dtype="<f8").tobytes()
+
+
+def wrench_template(frame_id: str) -> Template:
+    """WrenchStamped; block: force and torque (6,) [N, N·m]."""
+    message, marks = WrenchStamped(), _marks(6)
+    message.header.frame_id = frame_id
+    w = message.wrench
+    w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z = marks.tolist()
+    return Template(message, doubles(marks))
+
+
+def pose_template(frame_id: str) -> Template:
+    """PoseStamped; block: position [m] and orientation xyzw (7,)."""
+    message, marks = PoseStamped(), _marks(7)
+    message.header.frame_id = frame_id
+    p, q = message.pose.position, message.pose.orientation
+    p.x, p.y, p.z, q.x, q.y, q.z, q.w = marks.tolist()
+    return Template(message, doubles(marks))
+
+
+def cloud_template(frame_id: str, points: int) -> Template:
+    """PointCloud2; block: `points` points packed by `layout.pack_points`."""
+    marks = np.random.default_rng(0).bytes(points * POINT_STEP)
+    message = PointCloud2(
+        height=1,
+        width=points,
+        is_bigendian=False,
+        point_step=POINT_STEP,
+        row_step=points * POINT_STEP,
+        is_dense=True,
+        data=array.array("B", marks),
+        fields=[PointField(name=name, offset=at, datatype=FLOAT32, count=1) for name, at in POINT_FIELDS],
+    )
+    message.header.frame_id = frame_id
+    return Template(message, marks)
+
+
+def marker_template(frame_id: str, corners: int) -> Template:
+    """Marker TRIANGLE_LIST; blocks: corners (corners, 3) float64 [m], colours (corners, 4) float32 rgba."""
+    points, colors = _marks(3 * corners).reshape(-1, 3), _marks(4 * corners).astype("<f4").reshape(-1, 4)
+    message = Marker(ns="finger", id=0, type=Marker.TRIANGLE_LIST, action=Marker.ADD, frame_locked=False)
+    message.header.frame_id = frame_id
+    message.pose = PoseMessage()
+    message.pose.orientation.w = 1.0
+    message.scale.x = message.scale.y = message.scale.z = 1.0
+    message.color = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
+    message.points = [Point(x=x, y=y, z=z) for x, y, z in points.tolist()]
+    message.colors = [ColorRGBA(r=r, g=g, b=b, a=a) for r, g, b, a in colors.tolist()]
+    return Template(message, doubles(points), colors.tobytes())
+
+
+def topology_message(vertices: Floats, triangles: NDArray[np.integer[Any]]) -> Mesh:
+    """Mesh at rest: vertices (n, 3) [m], finger frame; triangles (k, 3) index them, and mesh_points too."""
+    return Mesh(
+        vertices=[Point(x=float(x), y=float(y), z=float(z)) for x, y, z in vertices],
+        triangles=[MeshTriangle(vertex_indices=[int(i) for i in face]) for face in triangles],
+    )
+
+
+def ramp_colors(values: Floats) -> NDArray[np.float32]:
+    """Opaque colours rgba (n, 4) of values (n,), 0 to 1."""
+    colors = np.ones((len(values), 4), dtype="<f4")
+    for channel in range(3):
+        colors[:, channel] = np.interp(values, np.linspace(0.0, 1.0, len(RAMP)), RAMP[:, channel])
+    return colors
+
+
+def node_areas(vertices: Floats, triangles: NDArray[np.integer[Any]]) -> Floats:
+    """A third of the area of the surface triangles around each node (n,) [m²]; 0 inside."""
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
+    areas: Floats = np.zeros(len(vertices))
+    np.add.at(areas, triangles.ravel(), np.repeat(third, 3))
+    return areas
+
+
+def check_command(message: PoseStamped, world_frame: str) -> Pose | str:
+    """The commanded pose with a unit quaternion, or why it is refused.
+
+    An empty frame_id is refused as any other wrong one: whoever sends it has not said which frame is meant.
+    """
+    frame = message.header.frame_id
+    if frame != world_frame:
+        return f"frame_id {frame!r}, must be {world_frame!r}"
+    p, q = message.pose.position, message.pose.orientation
+    position, quaternion = (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
+    if not all(map(math.isfinite, position + quaternion)):
+        return f"not finite: position {position}, orientation {quaternion}"
+    if not all(_POSITION.low <= c <= _POSITION.high for c in position):
+        return f"position {position} out of range [{_POSITION.low:g}, {_POSITION.high:g}] {_POSITION.unit}"
+    norm = math.hypot(*quaternion)
+    if norm < 1e-6:
+        return f"orientation {quaternion} is a zero quaternion"
+    if norm == math.inf:
+        return f"orientation {quaternion} is too large to normalise"
+    return Pose(position, (q.x / norm, q.y / norm, q.z / norm, q.w / norm))
+
+
+def _marks(count: int) -> Floats:
+    """Numbers that no field has by default, all different."""
+    return 1e9 + np.arange(1.0, count + 1.0) * 1024.0

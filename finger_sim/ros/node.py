@@ -1,0 +1,229 @@
+"""The ROS 2 node `finger`: commands in, wrenches and the deformed finger out, in real time.
+
+Run it with `ros2 run finger_sim finger_node` or `python3 -m finger_sim.ros.node`. Three threads share the
+work: the main one serves ROS and reports, the loop makes the steps and sends what they bring, the recorder
+writes the bag.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+import threading
+import time
+from concurrent.futures import CancelledError, Future
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.exceptions import ParameterException
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import SetBool, Trigger
+
+from ..errors import FingerSimError, SceneError
+from ..scene import Scene
+from . import parameters
+from .diagnostics import Refusals, Reporter
+from .loop import RateLoop
+from .messages import check_command
+from .outputs import COMMAND_QOS, Outputs, ros_qos
+from .recorder import Recorder, Topic
+from .stepper import Command, Stepper
+
+ANSWER_TIMEOUT = 2.0
+"""How long a service waits for the loop [s]."""
+REPORT_PERIOD = 1.0
+"""Time between two messages on /diagnostics [s]."""
+
+
+class FingerNode(Node):  # type: ignore[misc]
+    """Wires topics, services and parameters to the loop. Raises FingerSimError for parameters of no use."""
+
+    def __init__(self) -> None:
+        super().__init__("finger")
+        log = self.get_logger()
+        overrides = {name: p.value for name, p in self._parameter_overrides.items()}
+        options = parameters.options_from(overrides)
+        scene = parameters.scene_from(Scene.load(options.scene), overrides)
+        parameters.declare(self, parameters.node_parameters(options))
+        parameters.declare(self, scene.parameters())
+        for name, near in parameters.unknown(overrides, self._parameters).items():
+            log.warning(f"parameter {name} is not known and changes nothing" + (f"; {near}?" if near else ""))
+        self.add_pre_set_parameters_callback(lambda given: parameters.widen(given, self._parameters))
+        self.add_on_set_parameters_callback(self._on_set)
+
+        self._progress = "loading"
+        self._began = time.monotonic()
+        self._refusals = Refusals()
+        self._outputs = Outputs(self, options)
+        self._stepper = Stepper(scene, self._outputs, self.get_clock(), log)
+        self._loop = RateLoop(scene.dt, self._prepare, self._stepper.tick)
+        self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._refusals)
+        self._commands = self.create_subscription(
+            PoseStamped, "command_pose", self._on_command, ros_qos(COMMAND_QOS), raw=True
+        )
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(SetBool, "~/record", self._on_record)
+        if options.record and Path(options.record).exists():
+            raise SceneError("record", options.record, "a path that does not exist yet")
+
+    def run(self, stop: threading.Event) -> int:
+        """Serves until `stop` is set or the loop fails; the exit code."""
+        executor = EventsExecutor()
+        executor.add_node(self)
+        self._loop.start()
+        due = time.monotonic() + REPORT_PERIOD
+        while not stop.is_set() and rclpy.ok() and self._loop.error is None:
+            executor.spin_once(timeout_sec=min(0.1, max(0.0, due - time.monotonic())))
+            if time.monotonic() >= due:
+                self._report()
+                due = max(due + REPORT_PERIOD, time.monotonic())
+        executor.remove_node(self)
+        return self._close()
+
+    def _close(self) -> int:
+        stopped = self._loop.stop(timeout=0.5)
+        recorder = self._outputs.recorder
+        if recorder is not None:
+            recorder.close()
+            self.get_logger().info(recorder.summary())
+        error = self._loop.error
+        if error is not None:
+            self.get_logger().fatal(" ".join(f"{type(error).__name__}: {error}".split()))
+        if not stopped:
+            # A compiler or a step that does not come back cannot be unwound: leave it where it is.
+            _flush()
+            os._exit(int(error is not None))
+        return int(error is not None)
+
+    def _prepare(self) -> None:
+        """The loop thread's way to its first step."""
+        self._stepper.prepare(self._on_progress)
+        if self._outputs.options.record:
+            self._record(self._outputs.options.record)
+        gc.collect()
+        gc.freeze()
+        self.get_logger().info(
+            f"ready after {time.monotonic() - self._began:.1f} s: {self._outputs.options.scene}, "
+            f"{len(self._stepper.sim.mesh.tets)} tets at {1.0 / self._loop.period:g} Hz"
+        )
+
+    def _on_progress(self, text: str) -> None:
+        self._progress = text
+        self.get_logger().info(text)
+
+    def _report(self) -> None:
+        report = self._reporter.report(self.get_clock().now().to_msg(), self._progress)
+        self._outputs.send("/diagnostics", serialize_message(report))
+
+    def _on_command(self, data: bytes) -> None:
+        received, stamp = time.monotonic(), time.time_ns()
+        recorder = self._outputs.recorder
+        if recorder is not None:
+            recorder.put(self._commands.topic_name, data, stamp)
+        pose = check_command(deserialize_message(data, PoseStamped), self._outputs.options.world_frame)
+        if isinstance(pose, str):
+            if self._refusals.count == 0:
+                self.get_logger().warning(f"command refused: {pose}; refusals are counted in /diagnostics")
+            self._refusals.count += 1
+            self._refusals.reason = pose
+        else:
+            self._stepper.newest = Command(pose, received)
+
+    def _on_set(self, given: list[Any]) -> SetParametersResult:
+        try:
+            changes, options = parameters.live_changes(given, self._stepper.scene, self._outputs.options)
+            if changes:
+                self._ask(self._loop.call(lambda: self._stepper.apply(changes)))
+            self._outputs.options = options
+        except FingerSimError as error:
+            return SetParametersResult(successful=False, reason=" ".join(str(error).split()))
+        return SetParametersResult(successful=True)
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            pose = self._ask(self._loop.call(self._stepper.reset))
+            response.success = True
+            response.message = f"at rest at position {pose.position}, orientation {pose.orientation}"
+        except FingerSimError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        recorder = self._outputs.recorder
+        recording = recorder is not None and recorder.active
+        try:
+            if request.data == recording:
+                raise FingerSimError(
+                    f"recording already: {recorder.path}"
+                    if recorder and recording
+                    else "nothing is being recorded"
+                )
+            if not self._loop.ready:
+                raise FingerSimError(f"not ready: {self._progress}")
+            if request.data:
+                recorder = self._record(_free_name(Path(self._outputs.options.record_directory)))
+                response.success, response.message = True, f"recording {recorder.path}"
+            elif recorder is not None:
+                recorder.close()
+                response.success, response.message = recorder.error is None, recorder.summary()
+        except FingerSimError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _record(self, path: str | Path) -> Recorder:
+        command = Topic(self._commands.topic_name, "geometry_msgs/msg/PoseStamped", COMMAND_QOS)
+        topics = [*self._outputs.recorded_topics(), command]
+        recorder = Recorder(Path(path).expanduser().absolute(), topics, self._outputs.options.record_queue)
+        self._outputs.start_recording(recorder)
+        return recorder
+
+    def _ask(self, answer: Future[Any]) -> Any:
+        """What the loop answers. Raises FingerSimError when it does not."""
+        try:
+            return answer.result(ANSWER_TIMEOUT if self._loop.ready else 0.0)
+        except (TimeoutError, CancelledError):
+            answer.cancel()
+            reason = "the loop is stalled" if self._loop.ready else f"not ready: {self._progress}"
+            raise FingerSimError(reason) from None
+
+
+def _free_name(folder: Path) -> Path:
+    """A path in `folder` that does not exist, named by the time."""
+    stem = time.strftime("finger_%Y%m%d_%H%M%S")
+    names = (folder / (stem + (f"_{i}" if i else "")) for i in range(10_000))
+    return next(path for path in names if not path.exists())
+
+
+def _flush() -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Runs the node until SIGINT or SIGTERM; 0 after a clean end, 1 after an error."""
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        node = FingerNode()
+    except (FingerSimError, ParameterException, RuntimeError) as error:
+        print(f"finger_node: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+    try:
+        return node.run(stop)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

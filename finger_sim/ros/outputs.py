@@ -1,0 +1,192 @@
+"""Everything the node sends: topics, their quality of service, and what one step puts on them.
+
+Each message is serialised once; the same bytes are published and recorded.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TransformStamped, WrenchStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Mesh
+from visualization_msgs.msg import Marker
+
+from .. import cdr
+from ..arrays import Floats
+from ..bags import Qos
+from ..layout import express_wrench, node_strain, pack_points, place, wrench_frame_id
+from ..mesh import TetMesh
+from ..scene import Pose
+from ..simulator import Simulator, StepResult
+from . import messages
+from .parameters import NodeOptions
+from .recorder import Recorder, Topic
+
+TF_PERIOD = 0.01
+"""Time between two broadcasts of the frames [s], where tf2_ros is installed."""
+
+COMMAND_QOS = Qos(depth=1, reliable=False)
+"""Only the newest command counts, and best effort hears reliable and best-effort senders alike."""
+
+_TYPES: dict[str, tuple[Any, Qos]] = {
+    "mesh_topology": (Mesh, Qos(depth=1, transient_local=True)),
+    "contact_wrench": (WrenchStamped, Qos()),
+    "device_wrench": (WrenchStamped, Qos()),
+    "pose": (PoseStamped, Qos()),
+    "mesh_points": (PointCloud2, Qos(depth=5)),
+    "mesh_marker": (Marker, Qos(depth=1)),
+    "/diagnostics": (DiagnosticArray, Qos()),
+}
+"""Topic, type and offered quality of service, recorded in this order. mesh_marker is not recorded: it holds
+nothing that mesh_points does not."""
+
+
+def ros_qos(qos: Qos) -> QoSProfile:
+    """The profile of rclpy."""
+    return QoSProfile(
+        depth=qos.depth,
+        reliability=ReliabilityPolicy.RELIABLE if qos.reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.transient_local else DurabilityPolicy.VOLATILE,
+    )
+
+
+class Outputs:
+    """The publishers of the node and the recording, if there is one.
+
+    options  : the node's options as they are now
+    recorder : gets every message that is sent; None while nothing is recorded
+    """
+
+    def __init__(self, node: Any, options: NodeOptions) -> None:
+        self.options = options
+        self.recorder: Recorder | None = None
+        self.topology = b""
+        self._publishers = {
+            name: node.create_publisher(kind, name, ros_qos(qos)) for name, (kind, qos) in _TYPES.items()
+        }
+        self._names = {name: publisher.topic_name for name, publisher in self._publishers.items()}
+        self._wrench = messages.wrench_template(
+            wrench_frame_id(options.wrench_frame, options.finger_frame, options.world_frame)
+        )
+        self._device = messages.wrench_template(f"{options.finger_frame}_world_aligned")
+        self._pose = messages.pose_template(options.world_frame)
+        self._mesh_due = self._marker_due = self._tf_due = 0.0
+        self._frames = _Frames(node, options) if _Frames.available() else None
+
+    def prepare(self, mesh: TetMesh) -> None:
+        """Makes room for the messages of a mesh and sends its topology."""
+        self._cloud = messages.cloud_template(self.options.world_frame, len(mesh.points))
+        self._corners = mesh.surface.ravel()
+        self._marker = messages.marker_template(self.options.world_frame, len(self._corners))
+        self._areas = np.maximum(messages.node_areas(mesh.points, mesh.surface), 1e-12)
+        for topic in self.recorded_topics():
+            cdr.definition(topic.type)
+        self.topology = serialize_message(messages.topology_message(mesh.points, mesh.surface))
+        self.send("mesh_topology", self.topology)
+
+    def recorded_topics(self) -> list[Topic]:
+        """Topics of a recording under their resolved names, the topology first."""
+        return [
+            Topic(self._names[name], ros_type(kind), qos)
+            for name, (kind, qos) in _TYPES.items()
+            if name != "mesh_marker"
+        ]
+
+    def start_recording(self, recorder: Recorder) -> None:
+        """Records from now on, beginning with the topology that late listeners get too."""
+        recorder.put(self._names["mesh_topology"], self.topology, time.time_ns())
+        self.recorder = recorder
+
+    def send(self, topic: str, data: bytes) -> None:
+        """Publishes and records one message of CDR bytes."""
+        self._publishers[topic].publish(data)
+        recorder = self.recorder
+        if recorder is not None and topic != "mesh_marker":
+            recorder.put(self._names[topic], data, time.time_ns())
+
+    def step(self, sim: Simulator, out: StepResult, device_wrench: Floats, stamp: int) -> None:
+        """Sends what a step brought; `stamp` is its time [ns]."""
+        wrench = express_wrench(out.contact_wrench, out.pose, self.options.wrench_frame)
+        self.send("device_wrench", self._device.fill(stamp, messages.doubles(device_wrench)))
+        self.send("contact_wrench", self._wrench.fill(stamp, messages.doubles(wrench)))
+        pose = messages.doubles((*out.pose.position, *out.pose.orientation))
+        self.send("pose", self._pose.fill(stamp, pose))
+        now = time.monotonic()
+        if self.options.mesh_rate > 0.0 and now >= self._mesh_due:
+            self._mesh_due = _next_due(self._mesh_due, now, 1.0 / self.options.mesh_rate)
+            if self._heard("mesh_points") or (self.recorder is not None and self.recorder.active):
+                self.send("mesh_points", self._mesh_points(sim, out.pose, stamp))
+        if self.options.marker_rate > 0.0 and now >= self._marker_due:
+            self._marker_due = _next_due(self._marker_due, now, 1.0 / self.options.marker_rate)
+            if self._heard("mesh_marker"):
+                self.send("mesh_marker", self._mesh_marker(sim, stamp))
+        if self._frames is not None and now >= self._tf_due:
+            self._tf_due = _next_due(self._tf_due, now, TF_PERIOD)
+            self._frames.send(out.pose, stamp)
+
+    def _heard(self, topic: str) -> bool:
+        return bool(self._publishers[topic].get_subscription_count() > 0)
+
+    def _mesh_points(self, sim: Simulator, pose: Pose, stamp: int) -> bytes:
+        strain = node_strain(sim.strain_ratio, sim.mesh.tets, len(sim.mesh.points))
+        points = pack_points(sim.positions, place(sim.mesh.points, pose), sim.contact_forces, strain)
+        return self._cloud.fill(stamp, points.tobytes())
+
+    def _mesh_marker(self, sim: Simulator, stamp: int) -> bytes:
+        if self.options.marker_color == "strain":
+            values = node_strain(sim.strain_ratio, sim.mesh.tets, len(sim.mesh.points))
+        else:
+            values = np.linalg.norm(sim.contact_forces, axis=1) / self._areas / self.options.marker_pressure
+        colors = messages.ramp_colors(values)[self._corners]
+        return self._marker.fill(stamp, messages.doubles(sim.positions[self._corners]), colors.tobytes())
+
+
+class _Frames:
+    """Broadcasts the finger frame and its world-aligned twin where a system ROS 2 brings tf2_ros."""
+
+    def __init__(self, node: Any, options: NodeOptions) -> None:
+        from tf2_ros import TransformBroadcaster
+
+        self._broadcaster = TransformBroadcaster(node)
+        self._transforms = []
+        for child in (options.finger_frame, f"{options.finger_frame}_world_aligned"):
+            transform = TransformStamped(child_frame_id=child)
+            transform.header.frame_id = options.world_frame
+            transform.transform.rotation.w = 1.0
+            self._transforms.append(transform)
+
+    @staticmethod
+    def available() -> bool:
+        with contextlib.suppress(ImportError):
+            import tf2_ros  # type: ignore[import-not-found]  # noqa: F401
+
+            return True
+        return False
+
+    def send(self, pose: Pose, stamp: int) -> None:
+        for transform in self._transforms:
+            time_ = transform.header.stamp
+            time_.sec, time_.nanosec = divmod(stamp, 1_000_000_000)
+            p = transform.transform.translation
+            p.x, p.y, p.z = (float(c) for c in pose.position)
+        q = self._transforms[0].transform.rotation
+        q.x, q.y, q.z, q.w = (float(c) for c in pose.orientation)
+        self._broadcaster.sendTransform(self._transforms)
+
+
+def ros_type(kind: Any) -> str:
+    """Name of a message class, such as geometry_msgs/msg/PoseStamped."""
+    package, _, _ = kind.__module__.partition(".")
+    return f"{package}/msg/{kind.__name__}"
+
+
+def _next_due(due: float, now: float, period: float) -> float:
+    """The next time on the grid of `due`, or one period from now when that has passed too."""
+    return due + period if due + period > now else now + period
