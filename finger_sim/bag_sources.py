@@ -117,6 +117,10 @@ _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 
 
+_BROKEN = (McapError, struct.error, UnicodeDecodeError, OverflowError, MemoryError, RuntimeError)
+"""What the mcap library raises on bytes that are not what they claim to be."""
+
+
 class _Damaged(Exception):
     """Bytes that are not whole MCAP records."""
 
@@ -241,19 +245,19 @@ class _McapSource:
                 elif opcode == Opcode.CHANNEL:
                     channel = Channel.read(ReadDataStream(BytesIO(data[start:offset])))
                     file.channels[channel.id] = channel
-        except (McapError, struct.error, UnicodeDecodeError):
+        except _BROKEN:
             raise _Damaged("a broken record") from None
         if any(message[0] not in file.channels for message in messages):
             raise _Damaged("a message of an unknown channel")
         return messages
 
     def messages(self) -> Iterator[Message]:
-        pending: list[tuple[int, int, int, Message]] = []
+        pending: list[tuple[int, int, int, int, Message]] = []
         streams = [file.path.open("rb") for file in self.files]
         try:
-            for order, segment in enumerate(self.segments):
+            for segment in self.segments:
                 while pending and pending[0][0] < segment.start:
-                    yield heapq.heappop(pending)[3]
+                    yield heapq.heappop(pending)[-1]
                 file = self.files[segment.file]
                 for i, (number, sequence, logged, published, data) in enumerate(
                     self._read(streams[segment.file], segment)
@@ -263,9 +267,9 @@ class _McapSource:
                         message = Message(
                             channel.topic, file.type_of(channel), logged, published, data, sequence
                         )
-                        heapq.heappush(pending, (logged, order, i, message))
+                        heapq.heappush(pending, (logged, segment.file, segment.offset, i, message))
             while pending:
-                yield heapq.heappop(pending)[3]
+                yield heapq.heappop(pending)[-1]
         except (OSError, _Damaged) as error:
             raise BagError(f"{self.files[0].path.parent}: changed while it was read: {error}") from None
         finally:
@@ -285,7 +289,7 @@ def _read_header(stream: BinaryIO, path: Path) -> int:
         if opcode != Opcode.HEADER:
             raise BagError(f"{path}: not an MCAP file: its first record is no header")
         header = Header.read(ReadDataStream(BytesIO(stream.read(length))))
-    except (_Damaged, McapError, struct.error, UnicodeDecodeError):
+    except (_Damaged, *_BROKEN):
         raise BagError(f"{path}: cut off before its header, nothing can be read") from None
     if header.profile not in ("ros2", ""):
         raise BagError(f"{path}: holds messages of profile {header.profile!r}, allowed: 'ros2'")
@@ -315,14 +319,7 @@ def _decompress(body: bytes) -> bytes:
         return stream.read(length)
     except CRCValidationError:
         raise _Damaged("a chunk with a wrong checksum") from None
-    except (
-        McapError,
-        struct.error,
-        UnicodeDecodeError,
-        zstandard.ZstdError,
-        RuntimeError,
-        MemoryError,
-    ) as error:
+    except (zstandard.ZstdError, *_BROKEN) as error:
         raise _Damaged(f"a broken chunk: {error}") from None
 
 

@@ -1,0 +1,212 @@
+"""A bag of commands through the simulator without a ROS graph: the same input makes the same bytes.
+
+No wall clock enters the output. Time counts from the first good command: step k ends at (k + 1) dt and is
+stamped with the bag's start plus that time, rounded to a nanosecond once, so stamps do not drift.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from . import cdr
+from .bags import BagReader, BagWriter, Message, Qos, commands_of
+from .layout import node_strain, pack_points, place, wrench_frame_id
+from .scene import Pose
+
+if TYPE_CHECKING:
+    from .scene import Scene
+    from .simulator import Simulator, StepResult
+
+MESH_RATE = 60
+"""Clouds of `mesh_points` a second of simulated time, at most one a step [Hz]."""
+
+FINGER_FRAME = "finger"
+
+Progress = Callable[[int, int], None]
+"""Called with the steps done and all there are."""
+
+
+@dataclass
+class Summary:
+    """What happened in a replay."""
+
+    out: Path
+    topic: str
+    commands: int
+    refused: int
+    """Commands left out: not finite, a zero quaternion, another frame."""
+    warning: str | None
+    """What was wrong with the bag of commands, if it was cut off."""
+    steps: int = 0
+    duration: float = 0.0
+    """Simulated time [s]."""
+    wall: float = 0.0
+    """Time that the steps alone took [s]."""
+    step_median: float = 0.0
+    """[s]"""
+    step_p99: float = 0.0
+    """[s]"""
+    peak_force: float = 0.0
+    """Largest contact force [N]."""
+    peak_force_time: float = 0.0
+    """When it was reached [s]."""
+    limited_tets: int = 0
+    """Most tetrahedra at a limit in one step."""
+    max_strain_ratio: float = 0.0
+    """Largest strain / limit."""
+    max_penetration: float = 0.0
+    """[m]"""
+    status: dict[str, int] = field(default_factory=dict)
+    """Steps in which each status bit was set; empty when all went well."""
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulated time per time that the steps took."""
+        return self.duration / self.wall if self.wall > 0.0 else math.inf
+
+
+def run(
+    scene: Scene,
+    bag: str | Path,
+    out: str | Path,
+    topic: str | None = None,
+    progress: Progress | None = None,
+    *,
+    simulator: Simulator | None = None,
+) -> Summary:
+    """Simulates the commands of `bag` and writes what the node would publish to the new bag `out`.
+
+    The newest command received up to the beginning of a step holds during it; the first one places the finger
+    at rest. The commands are copied as they were read, those that are refused too.
+
+    topic     : of the commands; see `bags.read_commands`
+    progress  : called after every step
+    simulator : of this scene, instead of a new one
+    Raises BagError for a bag that cannot be read or made, and what Simulator raises; what was simulated by
+    then stays readable in `out`.
+    """
+    reader = BagReader(bag)
+    commands = commands_of(reader, topic)
+    frame = commands.frame_id or "world"
+    summary = Summary(Path(out), commands.topic, len(commands), commands.refused, commands.warning)
+    poses = [
+        Pose(position=(px, py, pz), orientation=(qx, qy, qz, qw))
+        for (px, py, pz), (qx, qy, qz, qw) in zip(
+            commands.position.tolist(), commands.orientation.tolist(), strict=True
+        )
+    ]
+    ends = [round((k + 1) * scene.dt * 1e9) for k in range(_steps(int(commands.receipt_ns[-1]), scene.dt))]
+    if simulator is None:
+        from .simulator import Simulator
+
+        simulator = Simulator(scene)
+    with BagWriter(out) as recording:
+        write = _Output(recording, commands.start, frame)
+        copies = _Copies(reader.messages([commands.topic]), recording)
+        write.topology(simulator)
+        simulator.reset(poses[0])
+        newest, begin = 0, 0
+        costs = np.empty(len(ends))
+        bits: Counter[str] = Counter()
+        for k, end in enumerate(ends):
+            while newest + 1 < len(poses) and commands.receipt_ns[newest + 1] <= begin:
+                newest += 1
+            clock = time.perf_counter()
+            result = simulator.step(poses[newest])
+            costs[k] = time.perf_counter() - clock
+            copies.up_to(commands.start + end)
+            write.step(result, end)
+            if begin * MESH_RATE // 1_000_000_000 < end * MESH_RATE // 1_000_000_000 or k == 0:
+                write.points(simulator, result, end)
+            _count(summary, bits, result, end)
+            begin = end
+            if progress is not None:
+                progress(k + 1, len(ends))
+        copies.up_to(None)
+    summary.steps, summary.duration = len(ends), ends[-1] * 1e-9
+    summary.wall = float(costs.sum())
+    summary.step_median, summary.step_p99 = (float(v) for v in np.percentile(costs, (50, 99)))
+    summary.status = dict(bits)
+    return summary
+
+
+def _steps(last: int, dt: float) -> int:
+    """Steps until the command received at `last` [ns] has been simulated for one step."""
+    return math.floor(last * 1e-9 / dt + 1e-6) + 1
+
+
+def _count(summary: Summary, bits: Counter[str], result: StepResult, end: int) -> None:
+    """Takes the result of a step into the summary."""
+    force = float(np.linalg.norm(result.contact_wrench[:3]))
+    if force > summary.peak_force:
+        summary.peak_force, summary.peak_force_time = force, end * 1e-9
+    summary.limited_tets = max(summary.limited_tets, int(result.limited_tets))
+    summary.max_strain_ratio = max(summary.max_strain_ratio, float(result.max_strain_ratio))
+    summary.max_penetration = max(summary.max_penetration, float(result.max_penetration))
+    bits.update(bit.name or str(bit.value) for bit in result.status)
+
+
+class _Copies:
+    """Copies the commands into the recording in step with the simulation."""
+
+    def __init__(self, messages: Iterator[Message], recording: BagWriter) -> None:
+        self.messages = messages
+        self.recording = recording
+        self.next = next(messages, None)
+        recording.add_topic("command_pose", cdr.POSE_STAMPED)
+
+    def up_to(self, log_time: int | None) -> None:
+        """Copies what was received until then [ns], or all that is left."""
+        while self.next is not None and (log_time is None or self.next.log_time <= log_time):
+            message = self.next
+            number = message.sequence or None
+            self.recording.write(
+                "command_pose", message.data, message.log_time, message.publish_time, sequence=number
+            )
+            self.next = next(self.messages, None)
+
+
+class _Output:
+    """Writes results as messages, stamped and logged at `start` plus the simulated time [ns]."""
+
+    def __init__(self, recording: BagWriter, start: int, frame: str) -> None:
+        self.recording, self.start, self.frame = recording, start, frame
+        self.wrench_frame = wrench_frame_id("world_aligned", FINGER_FRAME, frame)
+        recording.add_topic("contact_wrench", cdr.WRENCH_STAMPED)
+        recording.add_topic("device_wrench", cdr.WRENCH_STAMPED)
+        recording.add_topic("pose", cdr.POSE_STAMPED)
+        recording.add_topic("mesh_points", cdr.POINT_CLOUD)
+        recording.add_topic("mesh_topology", cdr.MESH, qos=Qos(depth=1, transient_local=True))
+
+    def topology(self, simulator: Simulator) -> None:
+        """The surface at rest: its triangles index the nodes of the mesh, as points of `mesh_points` do."""
+        mesh = simulator.mesh
+        self.recording.write("mesh_topology", cdr.mesh(mesh.points, mesh.surface), self.start)
+
+    def step(self, result: StepResult, end: int) -> None:
+        """Wrenches and pose of one step."""
+        stamp, pose = self.start + end, result.pose
+        for topic, wrench in (
+            ("contact_wrench", result.contact_wrench),
+            ("device_wrench", result.device_wrench),
+        ):
+            self.recording.write(topic, cdr.wrench_stamped(stamp, self.wrench_frame, wrench), stamp)
+        data = cdr.pose_stamped(stamp, self.frame, pose.position, pose.orientation)
+        self.recording.write("pose", data, stamp)
+
+    def points(self, simulator: Simulator, result: StepResult, end: int) -> None:
+        """The deformed nodes."""
+        mesh = simulator.mesh
+        strain = node_strain(simulator.strain_ratio, mesh.tets, len(mesh.points))
+        rest = place(mesh.points, result.pose)
+        points = pack_points(simulator.positions, rest, simulator.contact_forces, strain)
+        stamp = self.start + end
+        self.recording.write("mesh_points", cdr.point_cloud(stamp, self.frame, points), stamp)
