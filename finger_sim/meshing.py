@@ -25,7 +25,7 @@ from finger_sim.mesh import TetMesh
 
 Floats = NDArray[np.float64]
 
-FINGER_TETS = 347
+FINGER_TETS, FEWEST_TETS = 347, 250
 TETS_TOLERANCE = 0.05  # largest relative difference between the tets asked for and those made
 MIN_DIHEDRAL = math.radians(15.0)  # of a finger as generated; 10 degrees is promised
 
@@ -112,8 +112,8 @@ def finger(tets: int = FINGER_TETS) -> TetMesh:
     gmsh makes the same mesh every time. Raises MissingExtraError without gmsh, MeshError when no mesh of that
     many tets has every dihedral angle of 15 degrees or more.
     """
-    if int(tets) != tets or tets < 1:
-        raise MeshError(f"finger tets: got {tets!r}, allowed: a whole number >= 1")
+    if int(tets) != tets or tets < FEWEST_TETS:
+        raise MeshError(f"finger tets: got {tets!r}, allowed: a whole number >= {FEWEST_TETS}")
     with _gmsh_session() as gmsh:
         size = 4.0 * (FINGER_TETS / tets) ** 0.4
         for _ in range(3):
@@ -126,7 +126,7 @@ def finger(tets: int = FINGER_TETS) -> TetMesh:
             mesh = _mirrored(points, half)
             if mesh.min_dihedral_angles.min() >= MIN_DIHEDRAL:
                 return mesh
-    raise MeshError(f"finger tets: found no good mesh of {tets}; ask for another number, 250 or more")
+    raise MeshError(f"finger tets: found no good mesh of {tets}; ask for another number")
 
 
 def write_mesh(
@@ -191,8 +191,11 @@ def _half_finger(gmsh: Any, size: float) -> tuple[Floats, NDArray[np.int64]]:
     middle = occ.addPlaneSurface([occ.addCurveLoop([*(edge for edge in edges if edge != rim), seam])])
     body = occ.addVolume([occ.addSurfaceLoop([skin, cut, middle])])
     axis, sides = _bone_points(size)
-    on_axis, beside = ([occ.addPoint(*p) for p in points] for points in (axis, sides))
+    at_joints = _skin_points((np.array([DIP, PIP]) - CAP) / (CAP - CUT), np.zeros(2))
+    widest = [gmsh.model.getClosestPoint(2, skin, p)[0] for p in at_joints]
+    on_axis, beside, on_skin = ([occ.addPoint(*p) for p in points] for points in (axis, sides, widest))
     occ.synchronize()
+    mesh.embed(0, on_skin, 2, skin)
     mesh.embed(0, on_axis, 2, middle)
     mesh.embed(0, beside, 3, body)
 
