@@ -165,15 +165,15 @@ def _mirrored(points: Floats, half: NDArray[np.int64]) -> TetMesh:
     image[beside] = len(points) + np.arange(len(beside))
     x = np.concatenate([points, points[beside] * [1.0, 1.0, -1.0]])
     tets = np.concatenate([half, image[half][:, [1, 0, 2, 3]]])
-    surface = np.unique(TetMesh.from_arrays(x, tets).surface)
     base = np.flatnonzero(x[:, 0] == CUT)
-    core = np.setdiff1d(np.flatnonzero(inside_bone(x)), surface)
-    return TetMesh.from_arrays(1e-3 * x, tets, {"base": base, "bone": np.union1d(base, core)})
+    bone = np.union1d(base, np.flatnonzero(inside_bone(x)))
+    return TetMesh.from_arrays(1e-3 * x, tets, {"base": base, "bone": bone})
 
 
 def _half_finger(gmsh: Any, size: float) -> tuple[Floats, NDArray[np.int64]]:
     """Nodes (n, 3) [mm] and tets (T, 4) of the half at z >= 0, edges of about `size` [mm] in the pad."""
-    gmsh.clear()
+    gmsh.model.remove()
+    gmsh.model.add("finger_sim")
     occ, mesh = gmsh.model.occ, gmsh.model.mesh
     along = np.concatenate([np.linspace(-1.0, 0.0, 24)[:-1], np.linspace(0.0, 1.0, 15)])
     across = np.linspace(-1.0, 1.0, 25)
