@@ -7,6 +7,7 @@ integer nanoseconds: `log_time` is when a message was received, `publish_time` w
 from __future__ import annotations
 
 import contextlib
+import os
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ __all__ = [
     "Topic",
     "absolute",
     "read_commands",
+    "require_absent",
     "write_commands",
 ]
 
@@ -105,11 +107,10 @@ class BagWriter:
         self._span: tuple[int, int] | None = None
         self._chunk_start: int | None = None
         self._open = False
+        require_absent(self.path)
         try:
             self.path.mkdir(parents=True)
             self._stream = self.file.open("xb")
-        except FileExistsError:
-            raise BagError(f"{self.path}: exists already; give another name or remove it") from None
         except OSError as error:
             raise BagError(f"{self.path}: cannot be made: {error.strerror}") from None
         self._open = True
@@ -294,6 +295,12 @@ class BagWriter:
             "custom_data": self.custom_data or None,
             "ros_distro": "jazzy",
         }
+
+
+def require_absent(path: str | Path) -> None:
+    """Raises BagError when there is something at `path`: no bag is ever overwritten."""
+    if os.path.lexists(path):
+        raise BagError(f"{path}: exists already; give another name or remove it")
 
 
 def _mcap_writer(stream: BinaryIO, compression: str) -> Any:

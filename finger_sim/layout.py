@@ -11,6 +11,8 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .rotations import matrix, normalised
+
 FLOAT = np.dtype("<f4")
 """Type of every point field: FLOAT32, little endian (PointCloud2 `is_bigendian` = False)."""
 
@@ -39,17 +41,10 @@ class HasPose(Protocol):
     def orientation(self) -> Sequence[float] | NDArray[np.float64]: ...
 
 
-def rotation_matrix(orientation: ArrayLike) -> NDArray[np.float64]:
+def rotation_matrix(orientation: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotation matrix R (3, 3) of a quaternion xyzw of any non-zero length; q and −q give the same R."""
-    q = np.asarray(orientation, dtype=np.float64)
-    x, y, z, w = q / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    x, y, z, w = (float(v) for v in orientation)
+    return matrix(normalised((x, y, z, w)))
 
 
 def place(rest: NDArray[np.float64], pose: HasPose) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import cdr
-from .bags import BagReader, BagWriter, Message, Qos, commands_of
+from .bags import BagReader, BagWriter, Message, Qos, commands_of, require_absent
 from .layout import node_strain, pack_points, place, wrench_frame_id
 from .scene import Pose
 
@@ -93,6 +93,7 @@ def run(
     Raises BagError for a bag that cannot be read or made, and what Simulator raises; what was simulated by
     then stays readable in `out`.
     """
+    require_absent(out)
     reader = BagReader(bag)
     commands = commands_of(reader, topic)
     frame = commands.frame_id or "world"
@@ -103,7 +104,8 @@ def run(
             commands.position.tolist(), commands.orientation.tolist(), strict=True
         )
     ]
-    ends = [round((k + 1) * scene.dt * 1e9) for k in range(_steps(int(commands.receipt_ns[-1]), scene.dt))]
+    steps = _steps(int(commands.receipt_ns[-1]), scene.dt)
+    ends = [_nanoseconds(k + 1, scene.dt) for k in range(steps)]
     if simulator is None:
         from .simulator import Simulator
 
@@ -139,8 +141,16 @@ def run(
 
 
 def _steps(last: int, dt: float) -> int:
-    """Steps until the command received at `last` [ns] has been simulated for one step."""
-    return math.floor(last * 1e-9 / dt + 1e-6) + 1
+    """Steps until the command received at `last` [ns] has been simulated for one of them."""
+    k = math.floor(last * 1e-9 / dt)
+    while _nanoseconds(k, dt) < last:
+        k += 1
+    return k + 1
+
+
+def _nanoseconds(k: int, dt: float) -> int:
+    """k dt, rounded once [ns]."""
+    return round(k * dt * 1e9)
 
 
 def _count(summary: Summary, bits: Counter[str], result: StepResult, end: int) -> None:

@@ -109,7 +109,7 @@ def minimum_jerk(s: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def follow(strokes: Sequence[Stroke], t: NDArray[np.float64]) -> NDArray[np.float64]:
     """Where the strokes are at times t (n,) [s]: (n, 3) [m]. They begin at rest at the end of the first."""
-    place = np.tile(np.array(strokes[0].to), (len(t), 1))
+    place = np.tile(np.array(strokes[0].to, dtype=np.float64), (len(t), 1))
     begin, here = 0.0, np.array(strokes[0].to)
     for stroke in strokes:
         there = np.array(stroke.to)
