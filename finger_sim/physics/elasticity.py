@@ -53,7 +53,10 @@ def assemble(model, state, h):  # type: ignore[no-untyped-def]
             for i in range(3):
                 G[n, i] = U[i, 0] * a0 + U[i, 1] * a1 + U[i, 2] * a2
         if model.touches_driven[t]:
-            _add_driven_stress(model, state, t, stiffness_factor)
+            _add_driven_stress(
+                model.tets[t], model.tet_slot[t], state.v, U, V, G, state.D, stiffness_factor * lame_lambda,
+                stiffness_factor * lame_mu, P,
+            )
         for a in range(4):
             k = model.tet_slot[t, a]
             if k < 0:
@@ -76,27 +79,24 @@ def assemble(model, state, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_driven_stress(model, state, t, factor):  # type: ignore[no-untyped-def]
-    """state.P += factor ∂P/∂F : Ḟ for the velocity gradient Ḟ that the driven nodes alone give tetrahedron t."""
-    D, E, P, G = state.D, state.E, state.P, state.G
-    for i in range(3):
-        for j in range(3):
-            D[i, j] = 0.0
-    # world-axes velocity gradient: Σ v_n g_nᵀ = Ḟ Rᵀ, so that R sym(RᵀḞ) = sym(D) R
+def _add_driven_stress(nodes, slots, v, U, V, G, D, w_lambda, w_mu, P):  # type: ignore[no-untyped-def]
+    """P += ∂P/∂F : Ḟ, weighted, for the velocity gradient Ḟ that the driven nodes alone give a tetrahedron.
+
+    In world axes D = Σ v_n g_nᵀ = Ḟ Rᵀ, so that R sym(RᵀḞ) = sym(D) R. D (3, 3) scratch.
+    """
+    D[:] = 0.0
     for n in range(4):
-        if model.tet_slot[t, n] < 0:
-            v = state.v[model.tets[t, n]]
+        if slots[n] < 0:
+            w = v[nodes[n]]
             for i in range(3):
                 for j in range(3):
-                    D[i, j] += v[i] * G[n, j]
-    pressure = factor * model.lame_lambda * (D[0, 0] + D[1, 1] + D[2, 2])
+                    D[i, j] += w[i] * G[n, j]
+    pressure = w_lambda * (D[0, 0] + D[1, 1] + D[2, 2])
     for i in range(3):
-        for j in range(3):
-            E[i, j] = factor * model.lame_mu * (D[i, j] + D[j, i])
-        E[i, i] += pressure
-    U, V = state.U[t], state.V[t]
-    for i in range(3):
+        e0 = w_mu * (D[i, 0] + D[0, i]) + (pressure if i == 0 else 0.0)
+        e1 = w_mu * (D[i, 1] + D[1, i]) + (pressure if i == 1 else 0.0)
+        e2 = w_mu * (D[i, 2] + D[2, i]) + (pressure if i == 2 else 0.0)
         for k in range(3):
-            e = E[i, 0] * U[0, k] + E[i, 1] * U[1, k] + E[i, 2] * U[2, k]
+            e = e0 * U[0, k] + e1 * U[1, k] + e2 * U[2, k]
             for j in range(3):
                 P[i, j] += e * V[j, k]

@@ -16,7 +16,8 @@ import scipy.sparse.linalg
 from ..arrays import Floats, Ints
 from .compile import kernel
 
-LANES = 16  # right-hand sides solved together: a fixed, contiguous inner loop that vectorises
+NODE_LANES = 8  # right-hand sides solved together are those of so many nodes:
+LANES = 3 * NODE_LANES  # a fixed, contiguous inner loop that vectorises
 
 
 class Pattern(NamedTuple):
@@ -154,25 +155,33 @@ def solve(pattern, lower, inverse, y):  # type: ignore[no-untyped-def]
 
 @kernel
 def solve_lanes(pattern, lower, inverse, first, Y):  # type: ignore[no-untyped-def]
-    """Replace the LANES right-hand sides Y (nf, 3, LANES) by A⁻¹ Y; all slots before `first` must be zero."""
+    """Replace the LANES right-hand sides Y (nf, 3, LANES) by A⁻¹ Y, from slot `first` on.
+
+    Slots before `first` must be zero on entry; they are not computed.
+    """
     nf = inverse.shape[0]
     for k in range(first, nf):
         for p in range(pattern.start[k], pattern.start[k + 1]):
-            L, i = lower[p], pattern.row[p]
-            for r in range(3):
-                a, b, c = L[r, 0], L[r, 1], L[r, 2]
-                for l in range(LANES):
-                    Y[i, r, l] -= a * Y[k, 0, l] + b * Y[k, 1, l] + c * Y[k, 2, l]
-    for k in range(nf - 1, -1, -1):
-        D = inverse[k]
+            L = lower[p]
+            _subtract(Y[pattern.row[p]], Y[k], L[0, 0], L[0, 1], L[0, 2], L[1, 0], L[1, 1], L[1, 2], L[2, 0], L[2, 1], L[2, 2])
+    for k in range(nf - 1, first - 1, -1):
+        D, y = inverse[k], Y[k]
+        d00, d10, d20, d11, d21, d22 = D[0, 0], D[1, 0], D[2, 0], D[1, 1], D[2, 1], D[2, 2]
         for l in range(LANES):
-            y0, y1, y2 = Y[k, 0, l], Y[k, 1, l], Y[k, 2, l]
-            Y[k, 0, l] = D[0, 0] * y0 + D[0, 1] * y1 + D[0, 2] * y2
-            Y[k, 1, l] = D[1, 0] * y0 + D[1, 1] * y1 + D[1, 2] * y2
-            Y[k, 2, l] = D[2, 0] * y0 + D[2, 1] * y1 + D[2, 2] * y2
+            y0, y1, y2 = y[0, l], y[1, l], y[2, l]
+            y[0, l] = d00 * y0 + d10 * y1 + d20 * y2
+            y[1, l] = d10 * y0 + d11 * y1 + d21 * y2
+            y[2, l] = d20 * y0 + d21 * y1 + d22 * y2
         for p in range(pattern.start[k], pattern.start[k + 1]):
-            L, i = lower[p], pattern.row[p]
-            for r in range(3):
-                a, b, c = L[0, r], L[1, r], L[2, r]
-                for l in range(LANES):
-                    Y[k, r, l] -= a * Y[i, 0, l] + b * Y[i, 1, l] + c * Y[i, 2, l]
+            L = lower[p]
+            _subtract(y, Y[pattern.row[p]], L[0, 0], L[1, 0], L[2, 0], L[0, 1], L[1, 1], L[2, 1], L[0, 2], L[1, 2], L[2, 2])
+
+
+@kernel
+def _subtract(y, x, a, b, c, d, e, f, g, h, i):  # type: ignore[no-untyped-def]
+    """y −= [a b c; d e f; g h i] x for (3, LANES) arrays."""
+    for l in range(LANES):
+        x0, x1, x2 = x[0, l], x[1, l], x[2, l]
+        y[0, l] -= a * x0 + b * x1 + c * x2
+        y[1, l] -= d * x0 + e * x1 + f * x2
+        y[2, l] -= g * x0 + h * x1 + i * x2

@@ -84,9 +84,16 @@ class State(NamedTuple):
     scale: Floats  # (rows,) [N] of nodal force per unit of lam
     lam: Floats  # (rows,) row forces
     best: Floats  # (rows,) row forces of the least residual so far
-    g: Floats  # (rows,) row values at lam
-    W: Floats  # (rows · rows,) Delassus matrix, used as (m, m)
-    Z: Floats  # (rows / LANES, nf, 3, LANES) A⁻¹ Jᵀ
+    diagonal: Floats  # (rows,) diagonal of W
+    cross: Floats  # (rows,) W between a contact's two tangents, at its normal's row
+    has_column: Ints  # (rows,) 1: the row's column of Z is there
+    row_local: Ints  # (rows, 4) row_slot counted among touched slots, −1: driven or none
+    local: Ints  # (nf,) touched slots numbered, −1: not touched
+    touched: Ints  # (touched,) their slots
+    u: Floats  # (3 touched,) h A⁻¹ Jᵀ λ
+    S: Floats  # (9 touched²,) A⁻¹ between touched nodes, used as (3 touched, 3 touched)
+    Z: Floats  # (3 rows touched,) h A⁻¹ Jᵀ, a row's column contiguous
+    Y: Floats  # (nf, 3, LANES) right-hand sides
     D: Floats  # (3, 3) scratch
     E: Floats  # (3, 3) scratch
     P: Floats  # (3, 3) scratch
@@ -208,7 +215,8 @@ def build_state(model: Model, positions: Floats) -> State:
     count, n, nf = len(model.tets), len(positions), len(model.free)
     nnz = len(model.pattern.row)
     wanted = (9 * count if model.projection != strain_limits.NONE else 0) + 3 * len(model.contact_nodes) * model.has_plane
-    rows = min(MAX_ROWS, -(-wanted // LANES) * LANES)
+    rows = min(MAX_ROWS, wanted)
+    touched = min(nf, 4 * rows)
     return State(
         x=positions.copy(),
         v=np.zeros((n, 3)),
@@ -236,9 +244,16 @@ def build_state(model: Model, positions: Floats) -> State:
         scale=np.zeros(rows),
         lam=np.zeros(rows),
         best=np.zeros(rows),
-        g=np.zeros(rows),
-        W=np.zeros(rows * rows),
-        Z=np.zeros((rows // LANES, nf, 3, LANES)),
+        diagonal=np.zeros(rows),
+        cross=np.zeros(rows),
+        has_column=np.zeros(rows, np.int64),
+        row_local=np.zeros((rows, 4), np.int64),
+        local=np.zeros(nf, np.int64),
+        touched=np.zeros(touched, np.int64),
+        u=np.zeros(3 * touched),
+        S=np.zeros(9 * touched * touched),
+        Z=np.zeros(3 * rows * touched),
+        Y=np.zeros((nf, 3, LANES)),
         D=np.zeros((3, 3)),
         E=np.zeros((3, 3)),
         P=np.zeros((3, 3)),

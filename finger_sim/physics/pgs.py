@@ -4,7 +4,10 @@ With v = v_free + h A⁻¹ Jᵀ λ, the row values are g = C + h J v + ε λ = c
 W = h² J A⁻¹ Jᵀ + diag(ε) is the Delassus matrix and ε the rows' compliance. Wanted: g ≥ 0 ⊥ λ ≥ 0 for limits and
 normals, and for the two tangents of a contact Coulomb's cone: |λ_t| ≤ μ λ_n, opposing the slip.
 
-One sweep updates each row by its own diagonal; g is kept up to date, so a row at rest off its limit costs nothing.
+One sweep updates each row by its own diagonal of W. W itself is never formed: the sweeps keep u = h A⁻¹ Jᵀ λ at
+the nodes that rows touch. A row reads its g from its own nodes, and adds its column h A⁻¹ J_iᵀ to u when its force
+changes, so that a row at rest off its limit costs a dozen products. The columns come from S, the block of A⁻¹
+between touched nodes, each when first needed.
 """
 
 from __future__ import annotations
@@ -12,138 +15,157 @@ from __future__ import annotations
 import math
 
 from .compile import kernel
-from .linear_solver import LANES, solve, solve_lanes
+from .linear_solver import NODE_LANES, solve, solve_lanes
 
-_FLOOR = 1e-3  # forces are judged relative to the largest row force, and no finer than this part of E · length²
+_FLOOR = 1e-3  # forces are judged relative to the largest row force, and no finer than this part of G · length²
 
 
 @kernel
-def delassus(model, state, h, rows):  # type: ignore[no-untyped-def]
-    """Z = A⁻¹ Jᵀ and W = h² J Z + diag(compliance) of the first `rows` rows."""
-    padded = -(-rows // LANES) * LANES
-    W = state.W[: padded * padded].reshape((padded, padded))
-    for chunk in range(padded // LANES):
-        Z = state.Z[chunk]
-        Z[:] = 0.0
-        first = Z.shape[0]
-        for l in range(min(LANES, rows - chunk * LANES)):
-            row = chunk * LANES + l
-            for n in range(4):
-                k = state.row_slot[row, n]
-                if k >= 0:
-                    first = min(first, k)
-                    for i in range(3):
-                        Z[k, i, l] = state.J[row, n, i]
-        solve_lanes(model.pattern, state.A_lower, state.A_inverse, first, Z)
+def touched_nodes(model, state, rows):  # type: ignore[no-untyped-def]
+    """Number the slots that the first `rows` rows touch, in slot order: state.touched and row_local. Their count.
+
+    -1 when they are more than the arrays hold.
+    """
+    local = state.local
+    local[:] = -1
     for row in range(rows):
-        w = W[row]
-        w[:] = 0.0
         for n in range(4):
             k = state.row_slot[row, n]
-            if k < 0:
-                continue
-            a = h * h * state.J[row, n, 0]
-            b = h * h * state.J[row, n, 1]
-            c = h * h * state.J[row, n, 2]
-            for chunk in range(padded // LANES):
-                Z = state.Z[chunk, k]
-                o = chunk * LANES
-                for l in range(LANES):
-                    w[o + l] += a * Z[0, l] + b * Z[1, l] + c * Z[2, l]
-        w[row] += state.compliance[row]
+            if k >= 0:
+                local[k] = 0
+    count = 0
+    for k in range(local.shape[0]):
+        if local[k] == 0:
+            if count == state.touched.shape[0]:
+                return -1
+            local[k] = count
+            state.touched[count] = k
+            count += 1
+    for row in range(rows):
+        for n in range(4):
+            k = state.row_slot[row, n]
+            state.row_local[row, n] = local[k] if k >= 0 else -1
+    return count
 
 
 @kernel
-def solve_rows(model, state, contact_rows, rows):  # type: ignore[no-untyped-def]
+def inverse_between(model, state, count):  # type: ignore[no-untyped-def]
+    """S (3 count, 3 count): the symmetric block of A⁻¹ between touched nodes, some of its columns at a time."""
+    S = state.S[: 9 * count * count].reshape((3 * count, 3 * count))
+    Y = state.Y
+    for start in range(0, count, NODE_LANES):
+        first = state.touched[start]
+        Y[first:] = 0.0
+        width = min(NODE_LANES, count - start)
+        for c in range(width):
+            for i in range(3):
+                Y[state.touched[start + c], i, 3 * c + i] = 1.0
+        solve_lanes(model.pattern, state.A_lower, state.A_inverse, first, Y)
+        for a in range(start, count):
+            k = state.touched[a]
+            for i in range(3):
+                for l in range(3 * width):
+                    S[3 * a + i, 3 * start + l] = Y[k, i, l]
+                    S[3 * start + l, 3 * a + i] = Y[k, i, l]
+
+
+@kernel
+def solve_rows(model, state, h, contact_rows, rows, count):  # type: ignore[no-untyped-def]
     """Row forces into state.lam[:rows], warm-started from what is there. Returns (sweeps, residual).
 
     The residual is the largest change any row's force would still need on its own (its violation or lack of
     complementarity over its diagonal of W), as nodal force relative to the largest one. When the sweeps run out,
     the iterate with the least residual is kept.
     """
-    padded = -(-rows // LANES) * LANES
-    W = state.W[: padded * padded].reshape((padded, padded))
-    lam, g = state.lam, state.g
+    size = 3 * count
+    S = state.S[: size * size].reshape((size, size))
+    Z = state.Z[: rows * size].reshape((rows, size))
+    lam, constant, compliance, diagonal, cross = state.lam, state.constant, state.compliance, state.diagonal, state.cross
+    J, nodes, u, has_column, scale = state.J, state.row_local, state.u, state.has_column, state.scale
+    mu_friction = model.mu_friction
+    floor = _FLOOR * model.lame_mu * model.length * model.length
+    u[:size] = 0.0
     for row in range(rows):
-        g[row] = state.constant[row]
+        for n in range(4):
+            for i in range(3):
+                J[row, n, i] *= h
+        has_column[row] = 0
+        diagonal[row] = _product(S, J[row], nodes[row], J[row], nodes[row]) + compliance[row]
+    for row in range(0, contact_rows, 3):
+        cross[row] = _product(S, J[row + 1], nodes[row + 1], J[row + 2], nodes[row + 2])
     for row in range(rows):
         if lam[row] != 0.0:
-            _add(g, W[row], lam[row], rows)
-    least = residual(model, state, W, contact_rows, rows)
-    _copy(lam, state.best, rows)
+            _push(S, J[row], nodes[row], has_column[row:], Z[row], u, lam[row])
+
+    least = math.inf
     sweeps = 0
-    while least > model.tolerance and sweeps < model.max_iterations:
-        sweeps += 1
+    while True:
+        worst, largest = 0.0, floor
         for row in range(0, contact_rows, 3):
-            _contact(model, W, lam, g, row, rows)
+            force = lam[row]
+            g = constant[row] + compliance[row] * force + _dot(J[row], nodes[row], u)
+            g1 = constant[row + 1] + _dot(J[row + 1], nodes[row + 1], u)
+            g2 = constant[row + 2] + _dot(J[row + 2], nodes[row + 2], u)
+            a, b = tangents(
+                mu_friction * force, lam[row + 1], lam[row + 2], g1, g2, diagonal[row + 1], diagonal[row + 2], cross[row]
+            )
+            worst = max(worst, abs(max(0.0, force - g / diagonal[row]) - force))
+            worst = max(worst, abs(a - lam[row + 1]), abs(b - lam[row + 2]))
+            largest = max(largest, force)
         for row in range(contact_rows, rows):
-            wanted = max(0.0, lam[row] - g[row] / W[row, row])
-            change = wanted - lam[row]
-            if change != 0.0:
-                lam[row] = wanted
-                _add(g, W[row], change, rows)
-        now = residual(model, state, W, contact_rows, rows)
+            force = lam[row]
+            g = constant[row] + compliance[row] * force + _dot(J[row], nodes[row], u)
+            worst = max(worst, abs(max(0.0, force - g / diagonal[row]) - force) * scale[row])
+            largest = max(largest, force * scale[row])
+        now = worst / largest
         if now < least:
             least = now
-            _copy(lam, state.best, rows)
-        elif not now < math.inf:
+            state.best[:rows] = lam[:rows]
+        if least <= model.tolerance or sweeps == model.max_iterations or not now < math.inf:
             break
-    _copy(state.best, lam, rows)
+
+        sweeps += 1
+        for row in range(0, contact_rows, 3):
+            force = lam[row]
+            g = constant[row] + compliance[row] * force + _dot(J[row], nodes[row], u)
+            lam[row] = max(0.0, force - g / diagonal[row])
+            if lam[row] != force:
+                _push(S, J[row], nodes[row], has_column[row:], Z[row], u, lam[row] - force)
+            g1 = constant[row + 1] + _dot(J[row + 1], nodes[row + 1], u)
+            g2 = constant[row + 2] + _dot(J[row + 2], nodes[row + 2], u)
+            a, b = tangents(
+                mu_friction * lam[row], lam[row + 1], lam[row + 2], g1, g2, diagonal[row + 1], diagonal[row + 2], cross[row]
+            )
+            for t in range(1, 3):
+                change = (a if t == 1 else b) - lam[row + t]
+                if change != 0.0:
+                    lam[row + t] += change
+                    _push(S, J[row + t], nodes[row + t], has_column[row + t :], Z[row + t], u, change)
+        for row in range(contact_rows, rows):
+            force = lam[row]
+            g = constant[row] + compliance[row] * force + _dot(J[row], nodes[row], u)
+            lam[row] = max(0.0, force - g / diagonal[row])
+            if lam[row] != force:
+                _push(S, J[row], nodes[row], has_column[row:], Z[row], u, lam[row] - force)
+    lam[:rows] = state.best[:rows]
     return sweeps, least
 
 
 @kernel
-def residual(model, state, W, contact_rows, rows):  # type: ignore[no-untyped-def]
-    """See `solve_rows`: 0 when every row's condition holds exactly."""
-    lam, g = state.lam, state.g
-    worst, largest = 0.0, _FLOOR * model.lame_mu * model.length * model.length
-    for row in range(0, contact_rows, 3):
-        wanted = max(0.0, lam[row] - g[row] / W[row, row])
-        a, b = _tangents(model, W, lam, g, row)
-        worst = max(worst, abs(wanted - lam[row]), abs(a - lam[row + 1]), abs(b - lam[row + 2]))
-        largest = max(largest, lam[row])
-    for row in range(contact_rows, rows):
-        wanted = max(0.0, lam[row] - g[row] / W[row, row])
-        worst = max(worst, abs(wanted - lam[row]) * state.scale[row])
-        largest = max(largest, lam[row] * state.scale[row])
-    return worst / largest
+def tangents(bound, l1, l2, g1, g2, w11, w22, w12):  # type: ignore[no-untyped-def]
+    """Tangential forces that stop a contact's slip, or the nearest step towards it inside the disk of radius bound.
 
-
-@kernel
-def _contact(model, W, lam, g, row, rows):  # type: ignore[no-untyped-def]
-    """One contact: the normal by its own diagonal, then the tangents onto Coulomb's disk."""
-    wanted = max(0.0, lam[row] - g[row] / W[row, row])
-    change = wanted - lam[row]
-    if change != 0.0:
-        lam[row] = wanted
-        _add(g, W[row], change, rows)
-    a, b = _tangents(model, W, lam, g, row)
-    change = a - lam[row + 1]
-    if change != 0.0:
-        lam[row + 1] = a
-        _add(g, W[row + 1], change, rows)
-    change = b - lam[row + 2]
-    if change != 0.0:
-        lam[row + 2] = b
-        _add(g, W[row + 2], change, rows)
-
-
-@kernel
-def _tangents(model, W, lam, g, row):  # type: ignore[no-untyped-def]
-    """Tangential forces that stop the slip of this contact, or the nearest step towards it inside the disk."""
-    bound = model.mu_friction * lam[row]
+    l1, l2 [N] the forces now, g1, g2 [m] the slips, w [m/N] their 2 × 2 block of W.
+    """
     if bound <= 0.0:
         return 0.0, 0.0
-    w11, w22, w12 = W[row + 1, row + 1], W[row + 2, row + 2], W[row + 1, row + 2]
-    g1, g2 = g[row + 1], g[row + 2]
     det = w11 * w22 - w12 * w12
-    a = lam[row + 1] - (w22 * g1 - w12 * g2) / det
-    b = lam[row + 2] - (w11 * g2 - w12 * g1) / det
+    a, b = l1 - (w22 * g1 - w12 * g2) / det, l2 - (w11 * g2 - w12 * g1) / det
     if a * a + b * b <= bound * bound:
         return a, b
     half = 0.5 * (w11 - w22)
     stiffest = 0.5 * (w11 + w22) + math.sqrt(half * half + w12 * w12)
-    a, b = lam[row + 1] - g1 / stiffest, lam[row + 2] - g2 / stiffest
+    a, b = l1 - g1 / stiffest, l2 - g2 / stiffest
     length = math.sqrt(a * a + b * b)
     if length > bound:
         a, b = a * bound / length, b * bound / length
@@ -151,12 +173,60 @@ def _tangents(model, W, lam, g, row):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def apply_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
-    """Add h A⁻¹ Jᵀ λ to the free nodes' velocities."""
+def _dot(J, nodes, u):  # type: ignore[no-untyped-def]
+    """h J A⁻¹ (…)ᵀ of one row: its gradient times u at its own nodes."""
+    total = 0.0
+    for n in range(4):
+        k = 3 * nodes[n]
+        if k >= 0:
+            total += J[n, 0] * u[k] + J[n, 1] * u[k + 1] + J[n, 2] * u[k + 2]
+    return total
+
+
+@kernel
+def _push(S, J, nodes, has_column, column, u, change):  # type: ignore[no-untyped-def]
+    """u += column · change, the row's column A⁻¹ (h J)ᵀ at the touched nodes; made when first needed."""
+    size = S.shape[0]
+    if has_column[0] == 0:
+        has_column[0] = 1
+        column[:] = 0.0
+        for n in range(4):
+            k = 3 * nodes[n]
+            if k >= 0:
+                a, b, c = J[n, 0], J[n, 1], J[n, 2]
+                x, y, z = S[k], S[k + 1], S[k + 2]
+                for i in range(size):
+                    column[i] += a * x[i] + b * y[i] + c * z[i]
+    for i in range(size):
+        u[i] += change * column[i]
+
+
+@kernel
+def _product(S, J, nodes, J_other, nodes_other):  # type: ignore[no-untyped-def]
+    """(h J) A⁻¹ (h J_other)ᵀ of two rows."""
+    total = 0.0
+    for m in range(4):
+        a = 3 * nodes[m]
+        if a < 0:
+            continue
+        for n in range(4):
+            b = 3 * nodes_other[n]
+            if b >= 0:
+                for i in range(3):
+                    T = S[a + i]
+                    total += J[m, i] * (
+                        T[b] * J_other[n, 0] + T[b + 1] * J_other[n, 1] + T[b + 2] * J_other[n, 2]
+                    )
+    return total
+
+
+@kernel
+def apply_rows(model, state, rows):  # type: ignore[no-untyped-def]
+    """Add A⁻¹ (h J)ᵀ λ to the velocities of all free nodes; state.J holds h J since `solve_rows`."""
     y = state.rhs
     y[:] = 0.0
     for row in range(rows):
-        force = h * state.lam[row]
+        force = state.lam[row]
         if force != 0.0:
             for n in range(4):
                 k = state.row_slot[row, n]
@@ -167,15 +237,3 @@ def apply_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
     for k in range(y.shape[0]):
         for i in range(3):
             state.v[model.free[k], i] += y[k, i]
-
-
-@kernel
-def _add(g, w, change, rows):  # type: ignore[no-untyped-def]
-    for row in range(rows):
-        g[row] += change * w[row]
-
-
-@kernel
-def _copy(source, out, rows):  # type: ignore[no-untyped-def]
-    for row in range(rows):
-        out[row] = source[row]

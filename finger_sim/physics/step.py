@@ -10,7 +10,7 @@ from .contact import contact_rows, deepest, store_contact
 from .elasticity import assemble
 from .kinematics import kinematics
 from .linear_solver import factor, solve
-from .pgs import apply_rows, delassus, solve_rows
+from .pgs import apply_rows, inverse_between, solve_rows, touched_nodes
 from .strain_limits import NONE, limit_rows, strain_ratio
 
 
@@ -60,9 +60,10 @@ def step(model, state, h):  # type: ignore[no-untyped-def]
         if rows < 0:
             rows, status = state.lam.shape[0], status | _ROW_LIMIT
     if rows > 0:
-        delassus(model, state, h, rows)
-        sweeps, residual = solve_rows(model, state, contacts, rows)
-        apply_rows(model, state, h, rows)  # v = v_free + h A⁻¹ Jᵀ λ
+        touched = touched_nodes(model, state, rows)
+        inverse_between(model, state, touched)
+        sweeps, residual = solve_rows(model, state, h, contacts, rows, touched)
+        apply_rows(model, state, rows)  # v = v_free + h A⁻¹ Jᵀ λ
         state.result[ITERATIONS], state.result[RESIDUAL] = sweeps, residual
         if not residual <= model.tolerance:
             status |= _ITERATION_LIMIT

@@ -132,7 +132,7 @@ def limit_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
                 near = _MARGIN * room
                 if C > near:
                     if reach < 0.0:
-                        reach = _strain_increment(model, state, t, h)
+                        reach = h * _strain_rate(model.tets[t], state.v, r, U, V, state.D)
                     if C - reach > near:
                         continue
                 gradient(model.projection, U, s, V, i, j, SOLVER_GAP, dC_dF)
@@ -165,17 +165,14 @@ def limit_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _strain_increment(model, state, t, h):  # type: ignore[no-untyped-def]
-    """First-order bound on the change of any singular value of tetrahedron t in this step: h |sym(RᵀḞ)|."""
-    D, r, U, V = state.D, model.gradients[t], state.U[t], state.V[t]
-    for i in range(3):
-        for j in range(3):
-            D[i, j] = 0.0
+def _strain_rate(nodes, v, r, U, V, D):  # type: ignore[no-untyped-def]
+    """|sym(RᵀḞ)| at the nodes' velocities [1/s]: no singular value changes faster. D (3, 3) scratch."""
+    D[:] = 0.0
     for n in range(4):
-        v = state.v[model.tets[t, n]]
-        a0 = v[0] * U[0, 0] + v[1] * U[1, 0] + v[2] * U[2, 0]
-        a1 = v[0] * U[0, 1] + v[1] * U[1, 1] + v[2] * U[2, 1]
-        a2 = v[0] * U[0, 2] + v[1] * U[1, 2] + v[2] * U[2, 2]
+        w = v[nodes[n]]
+        a0 = w[0] * U[0, 0] + w[1] * U[1, 0] + w[2] * U[2, 0]
+        a1 = w[0] * U[0, 1] + w[1] * U[1, 1] + w[2] * U[2, 1]
+        a2 = w[0] * U[0, 2] + w[1] * U[1, 2] + w[2] * U[2, 2]
         for j in range(3):
             b = r[n, 0] * V[0, j] + r[n, 1] * V[1, j] + r[n, 2] * V[2, j]
             D[0, j] += a0 * b
@@ -187,4 +184,4 @@ def _strain_increment(model, state, t, h):  # type: ignore[no-untyped-def]
         for j in range(i):
             shear = 0.5 * (D[i, j] + D[j, i])
             total += 2.0 * shear * shear
-    return h * math.sqrt(total)
+    return math.sqrt(total)
