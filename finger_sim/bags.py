@@ -43,6 +43,9 @@ START = 1_767_225_600_000_000_000
 FLUSH_PERIOD = 0.5
 """Longest time [s] of messages that a killed writer loses."""
 
+LONGEST = 1e6
+"""Longest time between commands that is believed [s]: more comes of a broken or mixed-up clock."""
+
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 
@@ -172,9 +175,9 @@ class BagWriter:
         if recorded is None:
             known = ", ".join(self._recorded) or "none"
             raise BagError(f"{self.path}: topic {topic} was not announced; have {known}")
-        if log_time < 0 or (publish_time is not None and publish_time < 0):
-            times = f"{log_time}, {publish_time}"
-            raise BagError(f"{self.path}: topic {topic}: times must be >= 0 ns, got {times}")
+        sent = log_time if publish_time is None else publish_time
+        if not (0 <= log_time < 2**64 and 0 <= sent < 2**64):
+            raise BagError(f"{self.path}: topic {topic}: times must be 0 to 2^64 ns, got {log_time}, {sent}")
         number = recorded.next_sequence if sequence is None else sequence
         try:
             if self._chunk_start is not None and abs(log_time - self._chunk_start) >= FLUSH_PERIOD * 1e9:
@@ -185,7 +188,7 @@ class BagWriter:
                 channel_id=recorded.channel_id,
                 log_time=log_time,
                 data=data,
-                publish_time=log_time if publish_time is None else publish_time,
+                publish_time=sent,
                 sequence=number & 0xFFFFFFFF,
             )
         except OSError as error:
@@ -429,6 +432,8 @@ def commands_of(reader: BagReader, topic: str | None = None) -> Commands:
     chosen = _command_topic(reader, topic)
     rows: list[tuple[int, int, str, list[float]]] = []
     for number, message in enumerate(reader.messages([chosen]), start=1):
+        if message.type != cdr.POSE_STAMPED:
+            raise BagError(f"{reader.path}: topic {chosen}, message {number}: is {message.type}")
         try:
             pose = cdr.deserialize(message.data, cdr.POSE_STAMPED)
         except ValueError as error:
@@ -451,6 +456,8 @@ def commands_of(reader: BagReader, topic: str | None = None) -> Commands:
     if not good:
         raise BagError(f"{reader.path}: topic {chosen} has no good command; {refusals[0]}")
     start, first_stamp = good[0][0], good[0][1]
+    if (span := (good[-1][0] - start) * 1e-9) > LONGEST:
+        raise BagError(f"{reader.path}: topic {chosen}: log times span {span:.3g} s, allowed: {LONGEST:g} s")
     values = np.array([row[3] for row in good])
     return Commands(
         topic=chosen,

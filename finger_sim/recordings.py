@@ -13,7 +13,7 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from .bags import START, absolute, write_commands
+from .bags import LONGEST, START, absolute, write_commands
 from .errors import BagError
 
 COLUMNS = {"t": "s", "x": "m", "y": "m", "z": "m", "qx": "1", "qy": "1", "qz": "1", "qw": "1"}
@@ -22,8 +22,6 @@ DEFAULTS = {"x": 0.0, "y": 0.0, "z": 0.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw":
 """What stands for a column that is not there: the identity pose."""
 PAUSE = 0.5
 """Time between repeats that are played one after another [s]."""
-LONGEST = 1e7
-"""Longest recording that is believed [s]: longer ones have another unit of time."""
 
 
 @dataclass(frozen=True)
