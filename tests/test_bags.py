@@ -379,7 +379,7 @@ def test_writer_refuses_misuse(tmp_path: Path) -> None:
             bag.add_topic("pose", cdr.WRENCH_STAMPED)
         with pytest.raises(BagError, match="was not announced; have /pose"):
             bag.write("wrench", b"", START)
-        with pytest.raises(BagError, match="must be 0 to 2.64 ns, got -1"):
+        with pytest.raises(BagError, match="got -1, -1"):
             bag.write("pose", pose(0), -1)
     bag.close()
     with pytest.raises(BagError, match="closed"):
