@@ -87,6 +87,7 @@ class Simulator:
         status, iterations, residual = Status.COMMAND_LIMITED if limited else Status.OK, 0, 0.0
         for substep in range(1, scene.substeps + 1):
             before, self.pose = self.pose, between(start, end, substep / scene.substeps)
+            state.origin[:] = self.pose.position
             if self._driven:
                 state.targets[:] = placed(self._rest_driven, self.pose)
             stepping.step(self._model, state, h)
@@ -95,10 +96,11 @@ class Simulator:
                 self._move_rigidly(before, self.pose, h)
             iterations += int(state.result[stepping.ITERATIONS])
             residual = max(residual, float(state.result[stepping.RESIDUAL]))
+        self._steps += 1
+        wrench = state.wrench.copy()
         if not self._driven:
             self.pose = self._best_fit()
-        self._steps += 1
-        wrench = self._contact_wrench()
+            wrench[3:] += np.cross(state.origin - np.array(self.pose.position), wrench[:3])
         result = state.result
         return StepResult(
             time=self.time,
@@ -135,7 +137,7 @@ class Simulator:
             if value.shape != array.shape or not np.isfinite(value).all():
                 raise SceneError(name, f"shape {value.shape}", f"finite numbers of shape {array.shape}")
             array[:] = value
-        for array in (state.contact_force, state.warm_limit, state.active_rows, state.result):
+        for array in (state.contact_force, state.wrench, state.warm_limit, state.active_rows, state.result):
             array[:] = 0
         kinematics(self._model, state)
         if self._model.projection != NONE:
@@ -177,11 +179,6 @@ class Simulator:
     def strain_ratio(self) -> Floats:
         """strain/limit of each tetrahedron (T,), 1: exactly at its limit, 0 without limits; read-only."""
         return _read_only(self._state.strain_ratio)
-
-    def _contact_wrench(self) -> Floats:
-        forces = self._state.contact_force
-        arms = self._state.x - np.array(self.pose.position)
-        return np.concatenate([forces.sum(axis=0), np.cross(arms, forces).sum(axis=0)])
 
     def _move_rigidly(self, before: Pose, after: Pose, h: float) -> None:
         """After a rejected step: every node goes with the bone, so that the next step starts from a sound body."""

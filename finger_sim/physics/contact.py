@@ -46,18 +46,24 @@ def contact_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
 
 @kernel
 def store_contact(model, state, contact_rows):  # type: ignore[no-untyped-def]
-    """Node forces (n, 3) [N] of this step into state.contact_force; returns the number of nodes that carry one."""
+    """Node forces of this step into state.contact_force, their wrench into state.wrench; how many nodes carry one."""
     state.contact_force[:] = 0.0
-    frame = model.plane_frame
+    wrench = state.wrench
+    wrench[:] = 0.0
+    frame, origin = model.plane_frame, state.origin
     contacts = 0
     for row in range(0, contact_rows, 3):
         node = -1 - state.row_tet[row]
         if state.lam[row] > 0.0:
             contacts += 1
+            f, x = state.contact_force[node], state.x[node]
             for k in range(3):
-                state.contact_force[node, k] = (
-                    frame[0, k] * state.lam[row] + frame[1, k] * state.lam[row + 1] + frame[2, k] * state.lam[row + 2]
-                )
+                f[k] = frame[0, k] * state.lam[row] + frame[1, k] * state.lam[row + 1] + frame[2, k] * state.lam[row + 2]
+                wrench[k] += f[k]
+            a, b, c = x[0] - origin[0], x[1] - origin[1], x[2] - origin[2]
+            wrench[3] += b * f[2] - c * f[1]
+            wrench[4] += c * f[0] - a * f[2]
+            wrench[5] += a * f[1] - b * f[0]
     return contacts
 
 

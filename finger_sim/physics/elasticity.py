@@ -63,19 +63,24 @@ def assemble(model, state, h):  # type: ignore[no-untyped-def]
                 continue
             for i in range(3):
                 rhs[k, i] -= volume * (P[i, 0] * r[a, 0] + P[i, 1] * r[a, 1] + P[i, 2] * r[a, 2])
+        w_lambda, w_mu = stiffness_factor * volume * lame_lambda, stiffness_factor * volume * lame_mu
         for e in range(10):
             block = model.tet_block[t, e]
             if block == -1:
                 continue
             a, b = model.pair_row[t, e], model.pair_column[t, e]
-            w_lambda = stiffness_factor * volume * lame_lambda
-            w_mu = stiffness_factor * volume * lame_mu
-            dot = w_mu * (G[a, 0] * G[b, 0] + G[a, 1] * G[b, 1] + G[a, 2] * G[b, 2])
+            a0, a1, a2, b0, b1, b2 = G[a, 0], G[a, 1], G[a, 2], G[b, 0], G[b, 1], G[b, 2]
+            dot = w_mu * (a0 * b0 + a1 * b1 + a2 * b2)
             B = A_lower[block] if a != b else A_diagonal[block]
-            for i in range(3):
-                for j in range(3):
-                    B[i, j] += w_lambda * G[a, i] * G[b, j] + w_mu * G[b, i] * G[a, j]
-                B[i, i] += dot
+            B[0, 0] += w_lambda * a0 * b0 + w_mu * b0 * a0 + dot
+            B[0, 1] += w_lambda * a0 * b1 + w_mu * b0 * a1
+            B[0, 2] += w_lambda * a0 * b2 + w_mu * b0 * a2
+            B[1, 0] += w_lambda * a1 * b0 + w_mu * b1 * a0
+            B[1, 1] += w_lambda * a1 * b1 + w_mu * b1 * a1 + dot
+            B[1, 2] += w_lambda * a1 * b2 + w_mu * b1 * a2
+            B[2, 0] += w_lambda * a2 * b0 + w_mu * b2 * a0
+            B[2, 1] += w_lambda * a2 * b1 + w_mu * b2 * a1
+            B[2, 2] += w_lambda * a2 * b2 + w_mu * b2 * a2 + dot
 
 
 @kernel

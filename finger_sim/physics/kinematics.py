@@ -43,7 +43,7 @@ def signed_svd(F, U, s, V):  # type: ignore[no-untyped-def]
                 alpha = U[0, p] * U[0, p] + U[1, p] * U[1, p] + U[2, p] * U[2, p]
                 beta = U[0, q] * U[0, q] + U[1, q] * U[1, q] + U[2, q] * U[2, q]
                 gamma = U[0, p] * U[0, q] + U[1, p] * U[1, q] + U[2, p] * U[2, q]
-                if abs(gamma) <= _ORTHOGONAL * math.sqrt(alpha * beta) or gamma == 0.0:
+                if gamma * gamma <= _ORTHOGONAL * _ORTHOGONAL * (alpha * beta):
                     continue
                 turned = True
                 zeta = (beta - alpha) / (2.0 * gamma)

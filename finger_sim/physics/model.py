@@ -61,12 +61,14 @@ class State(NamedTuple):
     x: Floats  # (n, 3) positions [m], world
     v: Floats  # (n, 3) velocities [m/s], world
     targets: Floats  # (nd, 3) where the driven nodes are to be at the end of the step [m]
+    origin: Floats  # (3,) origin of the finger frame at the end of the step, world [m]: wrenches are about it
     F: Floats  # (T, 3, 3) deformation gradient at x
     U: Floats  # (T, 3, 3) F = U diag(s) Vᵀ
     s: Floats  # (T, 3)
     V: Floats  # (T, 3, 3)
     strain_ratio: Floats  # (T,) strain/limit at x
     contact_force: Floats  # (n, 3) force of the plane on each node [N], world
+    wrench: Floats  # (6,) their sum [N] and torque about `origin` [N m]: plane on finger, world axes
     warm_limit: Floats  # (T, 3, 3) last row forces by key (i, j), positive: stretch, negative: compression [N m]
     active_rows: Ints  # (T,) rows of each tetrahedron that carry a force
     A_diagonal: Floats  # (nf, 3, 3)
@@ -221,12 +223,14 @@ def build_state(model: Model, positions: Floats) -> State:
         x=positions.copy(),
         v=np.zeros((n, 3)),
         targets=positions[model.driven].copy(),
+        origin=np.zeros(3),
         F=np.zeros((count, 3, 3)),
         U=np.zeros((count, 3, 3)),
         s=np.ones((count, 3)),
         V=np.zeros((count, 3, 3)),
         strain_ratio=np.zeros(count),
         contact_force=np.zeros((n, 3)),
+        wrench=np.zeros(6),
         warm_limit=np.zeros((count, 3, 3)),
         active_rows=np.zeros(count, np.int64),
         A_diagonal=np.zeros((nf, 3, 3)),

@@ -112,6 +112,7 @@ def reject(model, state):  # type: ignore[no-untyped-def]
     state.v[:] = state.old
     state.warm_limit[:] = 0.0
     state.contact_force[:] = 0.0
+    state.wrench[:] = 0.0
 
 
 @kernel
