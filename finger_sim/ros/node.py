@@ -42,6 +42,9 @@ ANSWER_TIMEOUT = 2.0
 REPORT_PERIOD = 1.0
 """Time between two messages on /diagnostics [s]."""
 
+SWITCH_INTERVAL = 2e-4
+"""How long another thread of this process may keep the interpreter when a step is due [s]."""
+
 
 class FingerNode(Node):  # type: ignore[misc]
     """Wires topics, services and parameters to the loop. Raises FingerSimError for parameters of no use."""
@@ -210,6 +213,7 @@ def _flush() -> None:
 def main(args: list[str] | None = None) -> int:
     """Runs the node until SIGINT or SIGTERM; 0 after a clean end, 1 after an error."""
     stop = threading.Event()
+    sys.setswitchinterval(SWITCH_INTERVAL)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     try:

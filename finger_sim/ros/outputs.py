@@ -152,7 +152,7 @@ class _Frames:
     """Broadcasts the finger frame and its world-aligned twin where a system ROS 2 brings tf2_ros."""
 
     def __init__(self, node: Any, options: NodeOptions) -> None:
-        from tf2_ros import TransformBroadcaster
+        from tf2_ros import TransformBroadcaster  # type: ignore[import-not-found]
 
         self._broadcaster = TransformBroadcaster(node)
         self._transforms = []
@@ -165,7 +165,7 @@ class _Frames:
     @staticmethod
     def available() -> bool:
         with contextlib.suppress(ImportError):
-            import tf2_ros  # type: ignore[import-not-found]  # noqa: F401
+            import tf2_ros  # noqa: F401
 
             return True
         return False

@@ -1,0 +1,212 @@
+"""The node in a process of its own, and a client to talk to it over ROS."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'finger_sim[ros]'")
+
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+TIMEOUT = 60.0
+"""Longest wait for any condition [s]; a condition that holds is seen at once."""
+
+_domains = itertools.cycle([(17 * os.getpid() + 29 * i) % 101 + 1 for i in range(101)])
+
+BLOCK = """
+mesh: {beam: {size: [0.02, 0.01, 0.01], cells: [2, 1, 1]}}
+driven: {box: [[-1, -1, 0.0099], [1, 1, 1]]}
+material: {young: 5.0e4, poisson: 0.4}
+limits: {projection: hyperbolic, stretch: [1.05, 1.25, null], compress: [0.95, 0.75, 0.98]}
+plane: {point: [0, 0, 0], friction: 0.5}
+initial_pose: {position: [0, 0, 0.01]}
+dt: 0.005
+"""
+"""A block of 10 tetrahedra whose top is driven; at position z its bottom is z above the plane."""
+
+
+def environment(domain: int) -> dict[str, str]:
+    """Of a process that shares its ROS domain with nobody else and checks what is put into messages."""
+    paths = [str(REPOSITORY), os.environ.get("PYTHONPATH", "")]
+    return os.environ | {"ROS_DOMAIN_ID": str(domain), "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+
+
+class NodeProcess:
+    """The node, started with ROS arguments; `program` replaces `-m finger_sim.ros.node`."""
+
+    def __init__(
+        self, log: Path, *arguments: str, program: Sequence[str] = ("-m", "finger_sim.ros.node")
+    ) -> None:
+        self.domain = next(_domains)
+        self.log = log
+        ros_arguments = ("--ros-args", *arguments) if arguments else ()
+        with log.open("wb") as output:
+            self.process = subprocess.Popen(
+                [sys.executable, *program, *ros_arguments],
+                env=environment(self.domain),
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
+
+    @property
+    def output(self) -> str:
+        return self.log.read_text(errors="replace")
+
+    def wait_for(self, text: str) -> None:
+        """Until the node's log holds `text`."""
+        end = time.monotonic() + TIMEOUT
+        while text not in self.output:
+            assert self.process.poll() is None, f"the node ended:\n{self.output}"
+            assert time.monotonic() < end, f"no {text!r} in the log:\n{self.output}"
+            time.sleep(0.02)
+
+    def end(self, number: int = signal.SIGINT) -> int:
+        """Sends a signal and gives the exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        return self.code()
+
+    def code(self) -> int:
+        """The exit code, once the process has ended; where it hangs if it does not."""
+        try:
+            return self.process.wait(TIMEOUT)
+        except subprocess.TimeoutExpired:
+            self.process.send_signal(signal.SIGABRT)
+            self.process.wait(TIMEOUT)
+            pytest.fail(f"the process did not end:\n{self.output}")
+
+    def __enter__(self) -> NodeProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait(TIMEOUT)
+
+
+class Client:
+    """A node of the test's own in the domain of a NodeProcess."""
+
+    def __init__(self, domain: int) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = rclpy.create_node("client", context=self.context, enable_rosout=False)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self._publishers: dict[str, Any] = {}
+        self._clients: dict[str, Any] = {}
+        self.reports: list[Any] = self.collect(DiagnosticArray, "/diagnostics")
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+    def until(self, condition: Callable[[], Any], repeat: Callable[[], None] | None = None) -> Any:
+        """Spins until the condition is true and gives its value; `repeat` is called every 20 ms meanwhile."""
+        end, due = time.monotonic() + TIMEOUT, 0.0
+        while not (value := condition()):
+            assert time.monotonic() < end, "the condition did not come true"
+            if repeat is not None and time.monotonic() >= due:
+                due = time.monotonic() + 0.02
+                repeat()
+            self.executor.spin_once(timeout_sec=0.01)
+        return value
+
+    def collect(self, kind: Any, topic: str, qos: Any = 100) -> list[Any]:
+        """A list to which each message of a topic is appended."""
+        got: list[Any] = []
+        self.node.create_subscription(kind, topic, got.append, qos)
+        return got
+
+    def next(self, messages: list[Any], repeat: Callable[[], None] | None = None) -> Any:
+        """The first message that comes from now on."""
+        count = len(messages)
+        self.until(lambda: len(messages) > count, repeat)
+        return messages[count]
+
+    def publish(self, message: Any, topic: str = "command_pose") -> None:
+        """Sends a message once the node listens."""
+        if topic not in self._publishers:
+            self._publishers[topic] = self.node.create_publisher(type(message), topic, 10)
+            self.until(lambda: self._publishers[topic].get_subscription_count() > 0)
+        self._publishers[topic].publish(message)
+
+    def command(self, z: float, x: float = 0.0) -> None:
+        """Commands the position (x, 0, z) [m], level."""
+        self.publish(command(z, x))
+
+    def call(self, kind: Any, service: str, request: Any) -> Any:
+        """The answer of a service."""
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(kind, service)
+            self.until(self._clients[service].service_is_ready)
+        future = self._clients[service].call_async(request)
+        self.until(future.done)
+        return future.result()
+
+    def set(self, name: str, value: Any) -> SetParametersResult:
+        """What the node answers to a new value of a parameter."""
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        return self.call(SetParameters, "/finger/set_parameters", request).results[0]
+
+    def get(self, name: str) -> Any:
+        """The value of a parameter of the node."""
+        answer = self.call(GetParameters, "/finger/get_parameters", GetParameters.Request(names=[name]))
+        return rclpy.parameter.parameter_value_to_python(answer.values[0])
+
+    def describe(self, name: str) -> ParameterDescriptor:
+        """The descriptor of a parameter of the node."""
+        request = DescribeParameters.Request(names=[name])
+        return self.call(DescribeParameters, "/finger/describe_parameters", request).descriptors[0]
+
+    def parameter_names(self) -> list[str]:
+        """All parameters of the node."""
+        return list(
+            self.call(ListParameters, "/finger/list_parameters", ListParameters.Request()).result.names
+        )
+
+    def report(self, repeat: Callable[[], None] | None = None) -> tuple[Any, dict[str, str]]:
+        """The next whole second's diagnostics: the status and its values by key."""
+        self.next(self.reports, repeat)
+        status = self.next(self.reports, repeat).status[0]
+        return status, {item.key: item.value for item in status.values}
+
+
+def command(z: float, x: float = 0.0) -> PoseStamped:
+    """A command to (x, 0, z) [m], level, in the frame world."""
+    message = PoseStamped()
+    message.header.frame_id = "world"
+    message.pose.position.x, message.pose.position.z = float(x), float(z)
+    message.pose.orientation.w = 1.0
+    return message
+
+
+def write_block(folder: Path) -> Path:
+    """The scene BLOCK as a file."""
+    path = folder / "block.yaml"
+    path.write_text(BLOCK)
+    return path
