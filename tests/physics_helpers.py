@@ -1,0 +1,117 @@
+"""Scenes, poses and checkers that the physics tests share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from finger_sim import Pose, Scene, Simulator, Status, StepResult
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+UNFIT = Status.NONFINITE | Status.STEP_REJECTED | Status.ITERATION_LIMIT | Status.ROW_LIMIT | Status.INVERTED
+
+
+def beam_scene(
+    size: Any = (0.4, 0.2, 0.2), cells: Any = (2, 1, 1), *, young: float = 1e5, poisson: float = 0.3,
+    density: float = 1000.0, damping: tuple[float, float] = (0.0, 0.0), **blocks: Any,
+) -> Scene:
+    """A scene with a generated beam; without gravity, damping, drive, limits and plane unless asked for."""
+    data = {
+        "mesh": {"beam": {"size": list(size), "cells": list(cells)}},
+        "material": {"density": density, "young": young, "poisson": poisson,
+                     "damping": {"mass": damping[0], "stiffness": damping[1]}},
+        "gravity": [0.0, 0.0, 0.0],
+    }
+    return Scene.from_dict(data | blocks)
+
+
+def finger_scene(**values: Any) -> Scene:
+    """The shipped everyday finger, dotted keys changed (dots written as __)."""
+    return Scene.load("finger").with_values({k.replace("__", "."): v for k, v in values.items()})
+
+
+def pose(position: Any = (0.0, 0.0, 0.0), turn: Rotation | None = None) -> Pose:
+    q = (turn or Rotation.identity()).as_quat()
+    return Pose(tuple(float(p) for p in position), tuple(float(c) for c in q))  # type: ignore[arg-type]
+
+
+def rotations(count: int, seed: int) -> list[Rotation]:
+    """Half turns about the axes, and random rotations."""
+    half = [Rotation.from_rotvec(np.pi * axis) for axis in np.eye(3)]
+    return half + list(Rotation.random(count, random_state=seed))
+
+
+def random_F(rng: np.random.Generator, s: Any) -> Array:
+    """A deformation gradient with the singular values `s` (signed) in random directions."""
+    U, V = Rotation.random(2, random_state=int(rng.integers(2**31))).as_matrix()
+    F: Array = U @ np.diag(s) @ V.T
+    return F
+
+
+def assert_derivative(
+    function: Callable[[Array], Array], derivative: Array, at: Array, *, step: float, rtol: float, atol: float,
+) -> None:
+    """`derivative` (m, *at.shape) is that of `function`: at → (m,), by central differences of sixth order.
+
+    Compared as a whole, relative to the largest entry of each of the m gradients.
+    """
+    numeric = np.zeros((len(derivative), at.size))
+    for k in range(at.size):
+        offset = np.zeros(at.size)
+        offset[k] = step
+        offset = offset.reshape(at.shape)
+        for weight, times in ((0.75, 1), (-0.15, 2), (1.0 / 60.0, 3)):
+            numeric[:, k] += weight * (function(at + times * offset) - function(at - times * offset)) / step
+    numeric = numeric.reshape(derivative.shape)
+    size = np.abs(numeric).reshape(len(derivative), -1).max(axis=1)
+    error = np.abs(derivative - numeric).reshape(len(derivative), -1).max(axis=1)
+    np.testing.assert_array_less(error, rtol * size + atol)
+
+
+def nodal_forces(scene: Scene, positions: Array) -> Array:
+    """Elastic forces (n, 3) [N] that the simulator puts on the nodes of a free, undamped body at `positions`.
+
+    The velocity that one very short step gives a heavy body at rest, times mass over time: off by (h ω)², 1e-8 or so.
+    """
+    assert scene.driven is None
+    assert scene.plane is None
+    short = scene.with_values({"dt": 1e-6, "gravity": [0, 0, 0], "material.density": 1e5,
+                               "material.damping.mass": 0.0, "material.damping.stiffness": 0.0})
+    sim = Simulator(short)
+    sim.set_state(positions, np.zeros_like(positions))
+    sim.step()
+    return sim.velocities * lumped_mass(short, sim.mesh)[:, None] / 1e-6
+
+
+def lumped_mass(scene: Scene, mesh: Any) -> Array:
+    """A quarter of each tetrahedron's mass at each of its nodes [kg]."""
+    mass = np.zeros(len(mesh.points))
+    for nodes in mesh.tets:
+        a, b, c, d = mesh.points[nodes]
+        mass[nodes] += scene.material.density * abs(np.dot(np.cross(b - a, c - a), d - a)) / 24.0
+    return mass
+
+
+def run(sim: Simulator, steps: int, command: Pose | None = None) -> StepResult:
+    """The last of so many steps under one command."""
+    for _ in range(steps):
+        out = sim.step(command)
+    return out
+
+
+def settle(sim: Simulator, command: Pose | None = None, *, speed: float = 1e-9, steps: int = 4000) -> StepResult:
+    """Step until no node moves faster than `speed` [m/s]."""
+    for _ in range(steps):
+        out = sim.step(command)
+        if np.abs(sim.velocities).max() < speed:
+            return out
+    raise AssertionError(f"not at rest after {steps} steps: {np.abs(sim.velocities).max():.2e} m/s")
+
+
+def healthy(out: StepResult) -> bool:
+    """No status bit that speaks of a solve that failed."""
+    return not out.status & UNFIT
