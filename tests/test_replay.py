@@ -215,7 +215,10 @@ replay.run(Scene.from_dict(BEAM), sys.argv[1], sys.argv[2])"
 
 
 def test_bit_identical_twice_and_in_a_fresh_process(tmp_path: Path) -> None:
-    """The real simulator, the same commands: the same bytes here, again, and in a new process."""
+    """The real simulator, the same commands: the same bytes here, again, and in a new process.
+
+    With an empty kernel cache this process compiles and the new one loads: that must not show either.
+    """
     bag = press(tmp_path / "in")
     beam = Scene.from_dict(BEAM)
     summary = replay.run(beam, bag, tmp_path / "a" / "out")
