@@ -147,10 +147,11 @@ class System:
         return v.reshape(-1, 3)
 
 
-def limit_rows(F: Array, limits: Any, gap: float = 0.0) -> list[tuple[float, Array, float]]:
+def limit_rows(F: Array, limits: Any, gap: float | None = None) -> list[tuple[float, Array, float]]:
     """(C, ∂C/∂F, side) of every row of one tetrahedron (Eq. 9-12); side +1 stretch, −1 compression.
 
-    ∂V from the eigenvectors of FᵀF: dv_i = Σ_k v_k (v_kᵀ d(FᵀF) v_i) / (s_i² − s_k²), |denominator| ≥ gap.
+    ∂V from the eigenvectors of FᵀF: dv_i = Σ_k v_k (v_kᵀ d(FᵀF) v_i) / (s_i² − s_k²), |denominator| ≥ gap;
+    left at zero, for values alone, when `gap` is None.
     """
     U, s, V = signed_svd(F)
     rows = []
@@ -158,7 +159,7 @@ def limit_rows(F: Array, limits: Any, gap: float = 0.0) -> list[tuple[float, Arr
         stretched = s[i] >= 1.0
         side = 1.0 if stretched else -1.0
         dV = np.zeros((3, 3, 3))  # d v_i [component, k, l] for dF = e_k e_lᵀ
-        for k, l in itertools.product(range(3), range(3)):
+        for k, l in itertools.product(range(3), range(3)) if gap is not None else ():
             dF = np.zeros((3, 3))
             dF[k, l] = 1.0
             dC = dF.T @ F + F.T @ dF
