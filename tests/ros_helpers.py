@@ -28,8 +28,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-TIMEOUT = 60.0
-"""Longest wait for any condition [s]; a condition that holds is seen at once."""
+TIMEOUT = 200.0
+"""Longest wait for any condition [s], the first compilation of the kernels among them."""
 
 _domains = itertools.cycle([(17 * os.getpid() + 29 * i) % 101 + 1 for i in range(101)])
 
