@@ -73,9 +73,7 @@ def test_values_are_equations_9_to_12(limits: Limits, seed: int) -> None:
 def test_values_along_the_axes_by_hand(F: Array, expected: list[float]) -> None:
     """With V = I, axis j bounds s_j alone, and the whole room of the other rows is left."""
     C, _ = evaluate(F, PAPER)
-    assert_allclose(C[:2], expected[:2], rtol=0, atol=1e-14)  # i = 1: side +, axes 1 and 2
-    assert C.shape == (9,)
-    assert C.min() == pytest.approx(min(expected), abs=1e-14)
+    assert_allclose(np.sort(C), np.sort(expected), rtol=0, atol=1e-14)
 
 
 def test_number_of_rows() -> None:
