@@ -23,17 +23,18 @@ PLAIN_WIDTH = 200
 def console(stream: IO[str] | None = None) -> Console:
     """A console on stdout, or on `stream`."""
     stream = stream or sys.stdout
-    return Console(file=stream, width=None if stream.isatty() else PLAIN_WIDTH, highlight=False)
+    width = None if stream.isatty() else PLAIN_WIDTH
+    return Console(file=stream, width=width, highlight=False, markup=False)
 
 
 def say(text: str) -> None:
     """One line on stderr."""
-    console(sys.stderr).print(text, markup=False, soft_wrap=True)
+    console(sys.stderr).print(text, soft_wrap=True)
 
 
-def table(title: str, *columns: str) -> Table:
-    """An empty table; without columns it has no head."""
-    out = Table(title=title, title_justify="left", show_header=bool(columns), box=None, pad_edge=False)
+def table(*columns: str) -> Table:
+    """An empty table; without columns it has no head, and gets them from its rows."""
+    out = Table(show_header=bool(columns), box=None, pad_edge=False)
     for column in columns:
         out.add_column(column, overflow="fold")
     return out

@@ -1,4 +1,4 @@
-"""The picture of a touch: commanded depth and contact force over time, and the deformed finger at peak force."""
+"""The picture of a touch: commanded depth and contact force over time, the deformed finger at peak force."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def make_figure(recorded: Recorded) -> Figure:
         from matplotlib.figure import Figure
     except ImportError:
         raise MissingExtraError("drawing", "plot") from None
-    style = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.8}
+    style: Any = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False}
     with rc_context(style):
         figure = Figure(figsize=SIZE)
         FigureCanvasAgg(figure)
@@ -141,7 +141,8 @@ def _arrows(axes: Any, x: Floats, forces: Floats, extent: Floats) -> None:
         return
     scale = 0.17 * float(extent.max()) / float(size.max())
     at, vector = x[pressed], scale * forces[pressed]
-    arrows = axes.quiver(*at.T, *vector.T, color=ARROW_COLOR, linewidth=1.0, arrow_length_ratio=0.3, pivot="tip")
+    style = {"color": ARROW_COLOR, "linewidth": 1.0, "arrow_length_ratio": 0.3, "pivot": "tip"}
+    arrows = axes.quiver(*at.T, *vector.T, **style)
     arrows.set_zorder(4)
 
 
@@ -166,7 +167,7 @@ def _strain_bar(figure: Figure, moment: Moment) -> None:
     place = figure.add_axes((0.915, 0.22, 0.014, 0.56))
     bar = figure.colorbar(ScalarMappable(Normalize(0.0, top), _color_map()), cax=place)
     bar.set_label("strain / limit")
-    bar.outline.set_linewidth(0.6)  # type: ignore[operator]
+    bar.outline.set_linewidth(0.6)
     bar.ax.axhline(1.0, color="white", linewidth=1.6)
     bar.ax.axhline(1.0, color="black", linewidth=0.8)
 
@@ -178,14 +179,13 @@ def _top(strain: Floats) -> float:
 
 def _color_map() -> Any:
     from matplotlib import colormaps
-
     from matplotlib.colors import ListedColormap
 
     return ListedColormap(colormaps["magma_r"](np.linspace(0.03, 0.85, 256)))
 
 
 def _frame(plane: Plane | None) -> Floats:
-    """Rows: two tangents and the normal of the plane, right-handed; the world's axes when it lies flat. (3, 3)"""
+    """Rows (3, 3): two tangents and the normal of the plane, right-handed; if it lies flat, x y z."""
     normal = (plane or Plane()).unit_normal
     ahead = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     first = ahead - (ahead @ normal) * normal
@@ -214,7 +214,8 @@ def _node_normals(x: Floats, triangles: Any) -> Floats:
     normals = np.zeros_like(x)
     for corner in range(3):
         np.add.at(normals, triangles[:, corner], np.cross(b - a, c - a))
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.maximum(length, 1e-300))
 
 
 def _quartered(corners: Floats) -> Floats:
@@ -230,4 +231,4 @@ def _front_edges(x: Floats, triangles: Any, eye: Floats) -> Floats:
     a, b, c = (x[triangles[:, i]] for i in range(3))
     front = triangles[np.cross(b - a, c - a) @ eye > 0.0]
     edges = np.unique(np.sort(front[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    return x[edges]
+    return np.asarray(x[edges])

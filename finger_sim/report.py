@@ -1,8 +1,8 @@
-"""What a recording of the node holds: force and depth over time, the moment of peak force, the worst of its reports."""
+"""What a recording of the node holds: force and depth over time, the moment of peak force, its reports."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -191,8 +191,8 @@ def _first(reader: BagReader, kind: str) -> Any:
     return cdr.deserialize(message.data, message.type)
 
 
-def _of_type(reader: BagReader, kind: str, name: str = "") -> Iterable[Message] | Any:
-    """Messages of the first topic of a type, whose name ends in `name`. Raises BagError when there are none."""
+def _of_type(reader: BagReader, kind: str, name: str = "") -> Iterator[Message]:
+    """Messages of the first topic of a type whose name ends in `name`. Raises BagError if there are none."""
     topics = [t.name for t in reader.topics if t.type == kind and t.name.endswith(name) and t.count]
     if not topics:
         raise BagError(f"{reader.path}: no {name or kind} was recorded")

@@ -52,9 +52,8 @@ def ros_node(name: str, domain: int | None = None) -> Iterator[Any]:
     context = rclpy.Context()
     rclpy.init(args=[], context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        node = rclpy.create_node(
-            name, context=context, enable_rosout=False, use_global_arguments=False, start_parameter_services=False
-        )
+        quiet = {"enable_rosout": False, "use_global_arguments": False, "start_parameter_services": False}
+        node = rclpy.create_node(name, context=context, **quiet)
         try:
             yield node
         finally:

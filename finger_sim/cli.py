@@ -1,0 +1,319 @@
+"""`finger_sim <verb>`: reads the command line; each verb's work lives elsewhere, imported when asked for."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, NoReturn
+
+from .errors import FingerSimError
+
+DONE, FAILED, MISTAKE, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
+"""Exit codes."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one verb. 0: the job was done, 1: a part of it failed, 2: a user's mistake, 130: interrupted."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given[:1] == ["node"] and "--ros-args" in given:
+        given.insert(given.index("--ros-args"), "--")
+    try:
+        options = _parser().parse_args(given)
+        verb: Callable[[argparse.Namespace], int] = options.verb
+        return verb(options)
+    except FingerSimError as error:
+        print(f"finger_sim: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return MISTAKE
+    except KeyboardInterrupt:
+        print("finger_sim: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+
+
+def _terminated(*_: object) -> NoReturn:
+    """SIGTERM unwinds the stack, so that a node that was started ends too."""
+    raise SystemExit(TERMINATED)
+
+
+def _demo(options: argparse.Namespace) -> int:
+    from .console import console, say
+    from .demo import DemoError, run_demo
+
+    signal.signal(signal.SIGTERM, _terminated)
+    try:
+        outcome = run_demo(
+            options.scene, options.bag, options.out,
+            rate=options.rate, duration=options.duration, topic=options.topic,
+        )  # fmt: skip
+    except DemoError as error:
+        say(f"finger_sim: the demo failed: {error}")
+        return FAILED
+    console().print(outcome.table())
+    if outcome.note:
+        say(f"finger_sim: {outcome.note}")
+    for failure in outcome.failures:
+        say(f"finger_sim: the demo failed: {failure}")
+    return FAILED if outcome.failures else DONE
+
+
+def _run(options: argparse.Namespace) -> int:
+    from .bags import require_absent
+    from .console import console, gauge, say, table
+    from .replay import run
+    from .resources import find_bag, find_scene
+    from .scene import Scene
+    from .simulator import Simulator
+
+    scene, bag = Scene.load(options.scene), find_bag(options.bag)
+    out = options.out or Path(f"{bag.stem}_{find_scene(options.scene).stem}")
+    require_absent(out)
+    simulator = Simulator(scene, progress=say)
+    with gauge(f"simulating {bag}") as meter:
+        done = run(scene, bag, out, options.topic, meter, simulator=simulator)
+    if done.warning:
+        say(f"finger_sim: warning: {done.warning}")
+    status = ", ".join(f"{name} in {steps} steps" for name, steps in done.status.items())
+    rows = table()
+    for row in (
+        ("commands", f"{done.commands} on {done.topic}, {done.refused} refused"),
+        ("simulated", f"{done.duration:.3f} s in {done.steps} steps"),
+        ("real-time factor", f"{done.real_time_factor:.2f}"),
+        ("step time", f"median {1e3 * done.step_median:.3f} ms, p99 {1e3 * done.step_p99:.3f} ms"),
+        ("peak force", f"{done.peak_force:.4g} N at {done.peak_force_time:.3f} s"),
+        ("most tetrahedra at a limit", str(done.limited_tets)),
+        ("max strain/limit", f"{done.max_strain_ratio:.3f}"),
+        ("max penetration", f"{1e3 * done.max_penetration:.4f} mm"),
+        ("solver status", status or "OK"),
+        ("bag", str(done.out)),
+    ):
+        rows.add_row(*row)
+    console().print(rows)
+    return DONE
+
+
+def _play(options: argparse.Namespace) -> int:
+    from .bags import read_commands
+    from .console import gauge
+    from .resources import find_bag
+
+    commands = read_commands(find_bag(options.bag), options.topic)
+    play = _ros("play")
+    with play.ros_node("finger_sim_play") as node, gauge(f"playing {commands.topic}") as meter:
+        played = play.play(
+            node, commands, topic=options.to, frame_id=options.frame_id, speed=options.speed,
+            duration=options.duration, timeout=options.timeout, progress=meter,
+        )  # fmt: skip
+    print(f"{played.sent} commands on {played.topic} in {played.duration / options.speed:.3f} s, "
+          f"late by {1e3 * played.late_median:.3f} ms (median), {1e3 * played.late_p99:.3f} ms (p99), "
+          f"{1e3 * played.late_max:.3f} ms (most)")
+    return DONE
+
+
+def _import(options: argparse.Namespace) -> int:
+    from .recordings import import_csv
+
+    made = import_csv(
+        options.poses, options.out, topic=options.topic, frame_id=options.frame_id,
+        constants=dict(options.set), offset=dict(options.offset), where=dict(options.where),
+        concatenate=options.concatenate,
+    )  # fmt: skip
+    missing = f"; not in the file: {', '.join(made.defaulted)}" if made.defaulted else ""
+    print(f"{made.path}: {made.poses} poses on {made.topic}, {made.duration:.3f} s at {made.rate:.4g} Hz, "
+          f"{made.repeats} repeats, {made.gaps} gaps (longest {made.longest_gap:.3g} s), "
+          f"{made.repeated_stamps} repeated stamps, {made.sign_flips} sign flips{missing}")
+    return DONE
+
+
+def _info(options: argparse.Namespace) -> int:
+    from .console import console
+    from .info import info
+
+    for title, table in info(options.what):
+        console().print(title, table, "", sep="\n")
+    return DONE
+
+
+def _mesh(options: argparse.Namespace) -> int:
+    from .bags import require_absent
+    from .console import console
+    from .info import info
+    from .meshing import write_mesh
+
+    if not options.force:
+        require_absent(options.out)
+    asked = {name: value for name in ("tets", "size", "cells") if (value := getattr(options, name, None))}
+    write_mesh(options.kind, options.out, **asked)
+    for title, table in info(str(options.out)):
+        console().print(title, table, sep="\n")
+    return DONE
+
+
+def _node(options: argparse.Namespace) -> int:
+    return int(_ros("node").main(options.ros))
+
+
+def _ros(name: str) -> Any:
+    """The module of finger_sim.ros. Raises MissingExtraError where there is no ROS 2."""
+    import importlib
+    import importlib.util
+
+    from .errors import MissingExtraError
+
+    if importlib.util.find_spec("rclpy") is None:
+        raise MissingExtraError("no rclpy found: without a sourced ROS 2, this", "ros")
+    return importlib.import_module(f"finger_sim.ros.{name}")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="finger_sim",
+        description="A soft finger for haptic loops. SCENE and BAG are files, or names of shipped ones.",
+        epilog="example: finger_sim demo",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"finger_sim {_version()}")
+    verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
+
+    _add_demo(verbs)
+    _add_run(verbs)
+    _add_play(verbs)
+    _add_import(verbs)
+    info = _verb(verbs, "info", _info, "what a scene, a bag or a mesh holds", "finger_sim info press_slide")
+    info.add_argument("what", metavar="SCENE|BAG|MESH", help="file, folder, or name of a shipped one")
+    _add_mesh(verbs)
+    node = _verb(verbs, "node", _node, "the ROS 2 node in the foreground, as finger_node of `ros2 run`",
+                 "finger_sim node --ros-args -p scene:=finger -p record:=touch -r command_pose:=/device/pose")
+    node.add_argument("ros", nargs="*", metavar="--ros-args …", help="arguments of ROS 2, passed on")
+    return parser
+
+
+def _add_demo(verbs: Any) -> None:
+    demo = _verb(verbs, "demo", _demo, "the main job: node, commands over ROS 2, recording, picture, table",
+                 "finger_sim demo --rate 500 --duration 3 --out first_touch")
+    add = demo.add_argument
+    add("--scene", default="finger", help="scene to simulate (default: %(default)s)")
+    add("--bag", default="press_slide", help="bag of commands (default: %(default)s)")
+    add("--topic", help="topic of the commands in the bag")
+    add("--rate", type=_positive, default=500.0, metavar="HZ",
+        help="steps a second, instead of the scene's dt (default: %(default)g)")
+    add("--duration", type=_positive, metavar="S", help="seconds of the bag (default: all)")
+    add("--out", type=Path, metavar="DIR",
+        help="new folder for bag, picture and log (default: finger_sim_demo, finger_sim_demo_2 …)")
+
+
+def _add_run(verbs: Any) -> None:
+    run = _verb(verbs, "run", _run, "a bag through the simulator, without ROS, bit-identical every time",
+                "finger_sim run finger --bag press_flat -o pressed")
+    add = run.add_argument
+    add("scene", metavar="SCENE", help="scene to simulate")
+    add("--bag", required=True, metavar="IN", help="bag of commands")
+    add("-o", "--out", type=Path, metavar="OUT", help="bag to make (default: IN_SCENE, here)")
+    add("--topic", help="topic of the commands in the bag")
+
+
+def _add_play(verbs: Any) -> None:
+    play = _verb(verbs, "play", _play, "a bag's commands onto a ROS 2 topic in real time",
+                 "finger_sim play press_slide --to /finger/command_pose")
+    add = play.add_argument
+    add("bag", metavar="BAG", help="bag of commands")
+    add("--topic", help="topic of the commands in the bag")
+    add("--to", default="command_pose", metavar="TOPIC", help="topic to send on (default: %(default)s)")
+    add("--frame-id", metavar="FRAME", help="frame_id to send (default: the recorded one)")
+    add("--speed", type=_positive, default=1.0, metavar="FACTOR", help="2: twice as fast as recorded")
+    add("--duration", type=_positive, metavar="S", help="seconds of the bag (default: all)")
+    add("--timeout", type=_positive, default=10.0, metavar="S",
+        help="how long to wait for a subscriber (default: %(default)g)")
+
+
+def _add_import(verbs: Any) -> None:
+    csv = _verb(verbs, "import", _import, "a bag of a CSV of poses: columns t x y z qx qy qz qw, SI units",
+                "finger_sim import strokes.csv -o strokes --set z=0.005 --where rep=3")
+    add = csv.add_argument
+    add("poses", type=Path, metavar="POSES.csv", help="text with a line of column names; t is needed")
+    add("-o", "--out", type=Path, required=True, metavar="BAG", help="bag to make")
+    add("--topic", default="command_pose", help="topic in the bag (default: %(default)s)")
+    add("--frame-id", default="world", metavar="FRAME", help="frame of the poses (default: %(default)s)")
+    add("--set", type=_number, action="append", default=[], metavar="COLUMN=VALUE",
+        help="one value for every row, present in the file or not; may be repeated")
+    add("--offset", type=_number, action="append", default=[], metavar="COLUMN=VALUE",
+        help="add to a column; may be repeated")
+    add("--where", type=_text, action="append", default=[], metavar="COLUMN=TEXT",
+        help="only rows with that cell; may be repeated")
+    add("--concatenate", metavar="COLUMN",
+        help="column that numbers repeats in which t starts anew: play them one after another")
+
+
+def _add_mesh(verbs: Any) -> None:
+    example = "finger_sim mesh finger -o fine.vtu --tets 2000"
+    mesh = _verb(verbs, "mesh", None, "make a mesh of a finger or a beam", example)
+    kinds = mesh.add_subparsers(title="kinds", metavar="finger|beam", required=True)
+    finger = _verb(kinds, "finger", _mesh, "a finger with its bones (needs the extra [mesh])", example)
+    finger.add_argument("--tets", type=int, metavar="N", help="about so many tetrahedra (default: 347)")
+    beam = _verb(kinds, "beam", _mesh, "a box of bricks, five tetrahedra each",
+                 "finger_sim mesh beam -o beam.vtu --size 1 0.2 0.2 --cells 10 2 2")
+    beam.add_argument("--size", type=float, nargs=3, metavar=("X", "Y", "Z"),
+                      help="edges [m] (default: 1 0.2 0.2)")
+    beam.add_argument("--cells", type=int, nargs=3, metavar=("X", "Y", "Z"), help="bricks (default: 10 2 2)")
+    for kind, name in ((finger, "finger"), (beam, "beam")):
+        kind.set_defaults(kind=name)
+        kind.add_argument("-o", "--out", type=Path, required=True, metavar="FILE.vtu", help="file to make")
+        kind.add_argument("--force", action="store_true", help="overwrite the file")
+
+
+def _verb(
+    verbs: Any, name: str, work: Callable[[argparse.Namespace], int] | None, what: str, example: str
+) -> argparse.ArgumentParser:
+    """A subcommand, with what it does and an example in its help."""
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        name,
+        help=what,
+        description=f"{what[0].upper()}{what[1:]}.",
+        epilog=f"example:\n  {example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    if work is not None:
+        parser.set_defaults(verb=work)
+    return parser
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"got {text!r}, allowed: a finite number > 0")
+    return value
+
+
+def _text(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"got {text!r}, allowed: COLUMN=VALUE")
+    return name.strip(), value.strip()
+
+
+def _number(text: str) -> tuple[str, float]:
+    name, value = _text(text)
+    try:
+        return name, float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{name}: got {value!r}, allowed: a number") from None
+
+
+def _version() -> str:
+    try:
+        return version("finger_sim")
+    except PackageNotFoundError:
+        return "of a checkout that is not installed"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,361 @@
+"""The main job, start to finish: the real node, a bag played at it, a recording, a picture and a table."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.table import Table
+
+from .bags import BagReader, Commands, read_commands
+from .console import gauge, say, table
+from .errors import BagError, FingerSimError, MissingExtraError, SceneError
+from .fields import specs
+from .resources import find_bag, find_scene
+from .scene import Scene
+
+if TYPE_CHECKING:
+    from .report import Health, Recorded
+    from .ros.play import Played
+
+RATE = 500.0
+"""Steps and commands of the shipped bags a second [Hz]."""
+FOLDER = "finger_sim_demo"
+READY_TIMEOUT = 300.0
+"""Longest time that a node may take to its first step [s]; compiling takes up to a minute."""
+REPORT_TIMEOUT = 15.0
+"""Longest time between two messages on /diagnostics of a living node [s]."""
+END_TIMEOUT = 15.0
+"""Longest time that the node may take to close its bag and end [s]."""
+FEWEST_HEARD = 0.5
+"""Fraction of the commands that the node must hear; it skips those that newer ones overtake."""
+REAL_TIME = 0.99
+"""Real-time factor from which on a run counts as in real time."""
+
+
+class DemoError(FingerSimError):
+    """A part of the demo did not do its job."""
+
+
+@dataclass
+class Outcome:
+    """What a demo left behind, and what went wrong in it."""
+
+    bag: Path
+    picture: Path
+    log: Path
+    played: Played
+    heard: int
+    """Commands in the recording."""
+    messages: int
+    """Recorded, all topics."""
+    rate: float
+    """Steps a second while the commands were played [Hz]."""
+    dt: float
+    """[s]"""
+    tets: int
+    recorded: Recorded
+    health: Health
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def note(self) -> str | None:
+        """What a user should know about a run that did its job."""
+        if self.rate * self.dt >= REAL_TIME:
+            return None
+        return (f"slower than real time: the machine is busy or too slow for {1.0 / self.dt:g} Hz; "
+                f"try --rate {0.5 / self.dt:g}")
+
+    def table(self) -> Table:
+        """What was reached, and what each number means."""
+        played, health = self.played, self.health
+        peak = int(np.argmax(self.recorded.force))
+        out = table()
+        rows = (
+            ("rate reached", f"{self.rate:.1f} Hz",
+             f"steps a second while commands came in, of {1.0 / self.dt:g}"),
+            ("real-time factor", f"{self.rate * self.dt:.4f}", "simulated time / wall time"),
+            ("step time median", f"{1e3 * health.step_median:.3f} ms",
+             f"to simulate a step and send what it brought; there are {1e3 * self.dt:g} ms"),
+            ("step time p99", f"{1e3 * health.step_p99:.3f} ms", "99 of 100 steps took less"),
+            ("overruns", str(health.overruns), f"steps skipped, of {health.steps}; {health.late} were late"),
+            ("peak force", f"{self.recorded.force[peak]:.3f} N",
+             f"of the plane on the finger, at {self.recorded.wrench_time[peak]:.2f} s"),
+            ("most tetrahedra at a limit", f"{health.limited_tets} of {self.tets}", "in one step"),
+            ("max strain/limit", f"{health.max_strain_ratio:.3f}", "1: exactly at the limit"),
+            ("max penetration", f"{1e3 * health.max_penetration:.4f} mm", "of the skin into the plane"),
+            ("solver status", health.status, f"set in {health.troubled} of {health.steps} steps"
+             if health.troubled else "in every step"),
+            ("commands", f"{self.heard} of {played.sent}",
+             f"heard of those sent, each {1e3 * played.late_p99:.2f} ms after its time or less (p99)"),
+            ("messages recorded", str(self.messages), "on all topics, numbered: a gap would be named below"),
+            ("bag", str(self.bag), ""),
+            ("picture", str(self.picture), ""),
+            ("log of the node", str(self.log), ""),
+        )  # fmt: skip
+        for row in rows:
+            out.add_row(*row)
+        return out
+
+
+def run_demo(
+    scene: str = "finger",
+    bag: str = "press_slide",
+    out: str | Path | None = None,
+    *,
+    rate: float = RATE,
+    duration: float | None = None,
+    topic: str | None = None,
+) -> Outcome:
+    """Starts the node, plays the commands of `bag` at it over ROS 2, records, draws, and sums up.
+
+    out      : folder to make; FOLDER, or FOLDER_2 …, if left out
+    rate     : steps a second, instead of the scene's dt [Hz]
+    duration : of the commands that are played [s]; all of them if left out
+    Raises DemoError when the node or the recording fails, and other FingerSimErrors for what was asked for.
+    """
+    _require_extras()
+    loaded = _at_rate(Scene.load(scene), rate)
+    mesh = loaded.load_mesh()
+    loaded.driven_nodes(mesh)
+    commands = read_commands(find_bag(bag), topic)
+    folder = _make_folder(out)
+    recording, log = folder / "recording", folder / "node.log"
+    frame = commands.frame_id or "world"
+    parameters = {
+        "scene": str(find_scene(scene).resolve()),
+        "dt": loaded.dt,
+        "record": str(recording.resolve()),
+        "world_frame": frame,
+    }
+    played, code = _drive(parameters, commands, frame, duration, log)
+    outcome = _sum_up(recording, log, folder / "demo.png", played, loaded, len(mesh.tets))
+    if code != 0:
+        outcome.failures.insert(0, f"the node ended with code {code}: {_last_line(log)}")
+    return outcome
+
+
+def _drive(
+    parameters: Mapping[str, Any], commands: Commands, frame: str, duration: float | None, log: Path
+) -> tuple[Played, int]:
+    """Commands to a fresh node that records; what was played, and the node's exit code."""
+    from .ros.play import play, ros_node
+
+    domain = _free_domain()
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    say(f"starting the node (ROS_DOMAIN_ID {domain})")
+    with _node_process(parameters, domain, log) as process, ros_node("finger_sim_demo", domain) as me:
+        reports = _Reports(me, process, log)
+        reports.await_ready()
+
+        def progress(done: float, total: float) -> None:
+            reports.require_alive()
+            meter(done, total)
+
+        with gauge(f"playing {commands.topic} in real time") as meter:
+            played = play(me, commands, frame_id=frame, duration=duration, progress=progress)
+        reports.await_next()
+        process.send_signal(signal.SIGINT)
+        try:
+            return played, process.wait(END_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            raise DemoError(f"the node did not end within {END_TIMEOUT:g} s of SIGINT; see {log}") from None
+
+
+def _sum_up(recording: Path, log: Path, picture: Path, played: Played, scene: Scene, tets: int) -> Outcome:
+    """Reads the recording, draws, and checks that nothing is missing."""
+    from .plots import draw
+    from .report import read_health, read_recording
+
+    say("reading the recording")
+    try:
+        reader = BagReader(recording)
+        recorded = read_recording(recording, scene.plane)
+        health = read_health(recording)
+    except BagError as error:
+        raise DemoError(f"the recording is of no use: {error}; see {log}") from None
+    counts = {topic.name: topic.count for topic in reader.topics}
+    during = recorded.wrench_time[(recorded.wrench_time >= 0.0) & (recorded.wrench_time <= played.duration)]
+    outcome = Outcome(
+        bag=recording,
+        picture=picture,
+        log=log,
+        played=played,
+        heard=counts.get("/command_pose", 0),
+        messages=reader.message_count,
+        rate=_rate(during),
+        dt=scene.dt,
+        tets=tets,
+        recorded=recorded,
+        health=health,
+    )
+    outcome.failures += [f"{t.name}: {t.lost} messages lost in recording" for t in reader.topics if t.lost]
+    if reader.warning:
+        outcome.failures.append(f"the bag is not whole: {reader.warning}")
+    if health.dropped:
+        outcome.failures.append(f"{health.dropped} messages not recorded: the disk is too slow")
+    if len(during) < 2:
+        outcome.failures.append("no contact_wrench was recorded while commands came in")
+    if health.refused:
+        outcome.failures.append(f"the node refused {health.refused} commands; see {log}")
+    if outcome.heard < FEWEST_HEARD * played.sent:
+        outcome.failures.append(f"the node heard {outcome.heard} of {played.sent} commands")
+    say("drawing")
+    draw(recorded, picture)
+    if not picture.is_file() or picture.stat().st_size == 0:
+        outcome.failures.append(f"{picture} was not written")
+    return outcome
+
+
+def _rate(times: Any) -> float:
+    """Events a second of their times (n,) [s]; 0 for fewer than two."""
+    return float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 else 0.0
+
+
+class _Reports:
+    """What the node says on /diagnostics while it starts and runs."""
+
+    def __init__(self, node: Any, process: subprocess.Popen[bytes], log: Path) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.executors import SingleThreadedExecutor
+
+        self._process, self._log = process, log
+        self._received: list[Any] = []
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._received.append, 10)
+
+    def await_ready(self) -> None:
+        """Until the node simulates; relays what it is doing. Raises DemoError when it does not get there."""
+        said = ""
+        end = time.monotonic() + READY_TIMEOUT
+        while time.monotonic() < end:
+            for report in self._spin():
+                message = report.status[0].message
+                if any(item.key == "steps" for item in report.status[0].values):
+                    return
+                if message != said:
+                    said = message
+                    say(f"the node is {message}")
+        raise DemoError(f"the node was not ready within {READY_TIMEOUT:g} s; see {self._log}")
+
+    def await_next(self) -> None:
+        """Until a report of the time up to now has come."""
+        now = time.time_ns()
+        end = time.monotonic() + REPORT_TIMEOUT
+        while time.monotonic() < end:
+            stamps = [report.header.stamp for report in self._spin()]
+            if any(stamp.sec * 1_000_000_000 + stamp.nanosec > now for stamp in stamps):
+                return
+        raise DemoError(f"no report on /diagnostics for {REPORT_TIMEOUT:g} s; see {self._log}")
+
+    def require_alive(self) -> None:
+        """Raises DemoError when the node has ended."""
+        code = self._process.poll()
+        if code is not None:
+            raise DemoError(f"the node ended with code {code}: {_last_line(self._log)}; see {self._log}")
+
+    def _spin(self) -> list[Any]:
+        """Reports that came since the last call; waits for one for a moment."""
+        self.require_alive()
+        self._executor.spin_once(timeout_sec=0.1)
+        received, self._received[:] = list(self._received), []
+        return received
+
+
+@contextmanager
+def _node_process(
+    parameters: Mapping[str, Any], domain: int, log: Path
+) -> Iterator[subprocess.Popen[bytes]]:
+    """The node, its output in `log`; ended with the block, by force if it must be."""
+    assigned = [f"{name}:={json.dumps(value)}" for name, value in parameters.items()]
+    arguments = [text for assignment in assigned for text in ("-p", assignment)]
+    command = [sys.executable, "-m", "finger_sim.ros.node", "--ros-args", *arguments]
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            command,
+            env=os.environ | {"ROS_DOMAIN_ID": str(domain)},
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(END_TIMEOUT)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def _require_extras() -> None:
+    """Raises MissingExtraError when ROS 2 or the drawing is not installed, before anything is begun."""
+    if importlib.util.find_spec("rclpy") is None:
+        raise MissingExtraError("no rclpy found: without a sourced ROS 2, this", "ros")
+    if importlib.util.find_spec("matplotlib") is None:
+        raise MissingExtraError("drawing", "plot")
+
+
+def _at_rate(scene: Scene, rate: float) -> Scene:
+    """The scene with steps of 1 / rate. Raises SceneError for a rate that no scene may have."""
+    dt = specs(Scene)["dt"]
+    low, high = 1.0 / dt.high, 1.0 / dt.low
+    if not low <= rate <= high:
+        raise SceneError("rate", rate, f"a number in [{low:g}, {high:g}] Hz")
+    return scene.with_values({"dt": 1.0 / rate})
+
+
+def _make_folder(out: str | Path | None) -> Path:
+    """A fresh folder: the one asked for, which must not hold anything yet, or the first free numbered one."""
+    try:
+        if out is not None:
+            folder = Path(out)
+            folder.mkdir(parents=True, exist_ok=True)
+            if any(folder.iterdir()):
+                raise FingerSimError(f"{folder}: is not empty; give another folder with --out, or remove it")
+            return folder
+        for number in range(1, 10_000):
+            folder = Path(FOLDER if number == 1 else f"{FOLDER}_{number}")
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                continue
+            return folder
+    except OSError as error:
+        raise FingerSimError(f"{error.filename or out}: cannot be made: {error.strerror}") from None
+    raise FingerSimError(f"{FOLDER}_…: there are 10,000 already; remove some")
+
+
+def _free_domain() -> int:
+    """A ROS domain, 1 to 101, in which no process of this machine takes part."""
+    first = os.getpid() % 101
+    for domain in ((first + i) % 101 + 1 for i in range(101)):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7400 + 250 * domain + 10))  # where its first participant listens
+            except OSError:
+                continue
+            return domain
+    raise DemoError("all ROS domains of this machine are in use")
+
+
+def _last_line(log: Path) -> str:
+    """The last thing that the node said."""
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+    return lines[-1] if lines else "it said nothing"
