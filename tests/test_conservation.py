@@ -137,7 +137,8 @@ def test_spinning_gains_no_energy_but_that_of_its_linearisation(rate: float) -> 
     """A free body set spinning loses energy over a few steps, and more and more over a turn.
 
     Single steps may gain: x + h v leaves the circle by (h ω)² / 2, a strain that forces linearised at the step's
-    start do not see. The gain is bounded by the elastic energy of that strain: (h ω)⁴ / 8 (2 μ + 4 λ) V or less.
+    start do not see. The first step gains the elastic energy of that strain, (μ + λ) (h ω)⁴ V / 2, to 1 %; no later
+    one more than three times that, and after ten steps the body has less than at the start.
     """
     scene = beam_scene((0.4, 0.2, 0.2), (3, 2, 2), young=1e5, poisson=0.3, dt=1e-3)
     points = np.array(scene.load_mesh().points)
@@ -147,7 +148,8 @@ def test_spinning_gains_no_energy_but_that_of_its_linearisation(rate: float) -> 
     body = naive.Body.of(scene, scene.load_mesh())
     strain = 0.5 * (rate * scene.dt) ** 2
     bound = (2.0 * body.lame_mu + 2.0 * body.lame_lambda) * strain**2 * body.volume.sum()
-    assert np.diff(values).max() <= bound
+    assert values[1] - values[0] == pytest.approx(bound, rel=0.01)
+    assert np.diff(values).max() <= 3.0 * bound
     assert values.max() - values[0] <= 5.0 * bound
     assert (values[10:] < values[0]).all()
 
