@@ -14,8 +14,9 @@ import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-# Re-association lets reductions vectorise; nnan and ninf stay out, so that a guard such as isfinite works.
-FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
+# Fused multiply-add only. nnan and ninf would compile guards such as isfinite away; reassoc gave other last bits in
+# the process that compiles than in those that load its code, so that a replay would not repeat on a fresh cache.
+FASTMATH = {"contract"}
 
 
 @cache

@@ -182,6 +182,6 @@ def _subtract(y, x, a, b, c, d, e, f, g, h, i):  # type: ignore[no-untyped-def]
     """y −= [a b c; d e f; g h i] x for (3, LANES) arrays."""
     for l in range(LANES):
         x0, x1, x2 = x[0, l], x[1, l], x[2, l]
-        y[0, l] -= a * x0 + b * x1 + c * x2
-        y[1, l] -= d * x0 + e * x1 + f * x2
-        y[2, l] -= g * x0 + h * x1 + i * x2
+        y[0, l] = y[0, l] - a * x0 - b * x1 - c * x2
+        y[1, l] = y[1, l] - d * x0 - e * x1 - f * x2
+        y[2, l] = y[2, l] - g * x0 - h * x1 - i * x2
