@@ -20,10 +20,9 @@ DONE, FAILED, MISTAKE, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one verb. 0: the job was done, 1: a part of it failed, 2: a user's mistake, 130: interrupted."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if given[:1] == ["node"] and "--ros-args" in given:
-        given.insert(given.index("--ros-args"), "--")
+    own = given.index("--ros-args") if given[:1] == ["node"] and "--ros-args" in given else len(given)
     try:
-        options = _parser().parse_args(given)
+        options = _parser().parse_args(given[:own], argparse.Namespace(ros=given[own:]))
         verb: Callable[[argparse.Namespace], int] = options.verb
         return verb(options)
     except FingerSimError as error:
@@ -64,7 +63,7 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from .bags import require_absent
+    from .bags import read_commands, require_absent
     from .console import console, gauge, say, table
     from .replay import run
     from .resources import find_bag, find_scene
@@ -74,6 +73,7 @@ def _run(options: argparse.Namespace) -> int:
     scene, bag = Scene.load(options.scene), find_bag(options.bag)
     out = options.out or Path(f"{bag.stem}_{find_scene(options.scene).stem}")
     require_absent(out)
+    read_commands(bag, options.topic)  # a mistake shows before kernels compile
     simulator = Simulator(scene, progress=say)
     with gauge(f"simulating {bag}") as meter:
         done = run(scene, bag, out, options.topic, meter, simulator=simulator)
@@ -148,7 +148,8 @@ def _mesh(options: argparse.Namespace) -> int:
 
     if not options.force:
         require_absent(options.out)
-    asked = {name: value for name in ("tets", "size", "cells") if (value := getattr(options, name, None))}
+    given = {name: getattr(options, name, None) for name in ("tets", "size", "cells")}
+    asked = {name: value for name, value in given.items() if value is not None}
     write_mesh(options.kind, options.out, **asked)
     for title, table in info(str(options.out)):
         console().print(title, table, sep="\n")
@@ -188,9 +189,9 @@ def _parser() -> argparse.ArgumentParser:
     info = _verb(verbs, "info", _info, "what a scene, a bag or a mesh holds", "finger_sim info press_slide")
     info.add_argument("what", metavar="SCENE|BAG|MESH", help="file, folder, or name of a shipped one")
     _add_mesh(verbs)
-    node = _verb(verbs, "node", _node, "the ROS 2 node in the foreground, as finger_node of `ros2 run`",
-                 "finger_sim node --ros-args -p scene:=finger -p record:=touch -r command_pose:=/device/pose")
-    node.add_argument("ros", nargs="*", metavar="--ros-args …", help="arguments of ROS 2, passed on")
+    _verb(verbs, "node", _node, "the ROS 2 node in the foreground, as finger_node of `ros2 run`",
+          "finger_sim node --ros-args -p scene:=finger -p record:=touch -r command_pose:=/device/pose",
+          usage="finger_sim node [-h] [--ros-args …]")
     return parser
 
 
@@ -251,10 +252,10 @@ def _add_import(verbs: Any) -> None:
 
 
 def _add_mesh(verbs: Any) -> None:
-    example = "finger_sim mesh finger -o fine.vtu --tets 2000"
-    mesh = _verb(verbs, "mesh", None, "make a mesh of a finger or a beam", example)
+    mesh = _verb(verbs, "mesh", None, "make a mesh of a finger or a beam", "finger_sim mesh beam -o beam.vtu")
     kinds = mesh.add_subparsers(title="kinds", metavar="finger|beam", required=True)
-    finger = _verb(kinds, "finger", _mesh, "a finger with its bones (needs the extra [mesh])", example)
+    finger = _verb(kinds, "finger", _mesh, "a finger with its bones (needs the extra [mesh])",
+                   "finger_sim mesh finger -o fine.vtu --tets 2000")
     finger.add_argument("--tets", type=int, metavar="N", help="about so many tetrahedra (default: 347)")
     beam = _verb(kinds, "beam", _mesh, "a box of bricks, five tetrahedra each",
                  "finger_sim mesh beam -o beam.vtu --size 1 0.2 0.2 --cells 10 2 2")
@@ -268,11 +269,13 @@ def _add_mesh(verbs: Any) -> None:
 
 
 def _verb(
-    verbs: Any, name: str, work: Callable[[argparse.Namespace], int] | None, what: str, example: str
+    verbs: Any, name: str, work: Callable[[argparse.Namespace], int] | None, what: str, example: str,
+    usage: str | None = None,
 ) -> argparse.ArgumentParser:
     """A subcommand, with what it does and an example in its help."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         name,
+        usage=usage,
         help=what,
         description=f"{what[0].upper()}{what[1:]}.",
         epilog=f"example:\n  {example}",

@@ -141,7 +141,7 @@ def run_demo(
         "world_frame": frame,
     }
     played, code = _drive(parameters, commands, frame, duration, log)
-    outcome = _sum_up(recording, log, folder / "demo.png", played, loaded, len(mesh.tets))
+    outcome = sum_up(recording, log, folder / "demo.png", played, loaded, len(mesh.tets))
     if code != 0:
         outcome.failures.insert(0, f"the node ended with code {code}: {_last_line(log)}")
     return outcome
@@ -174,7 +174,7 @@ def _drive(
             raise DemoError(f"the node did not end within {END_TIMEOUT:g} s of SIGINT; see {log}") from None
 
 
-def _sum_up(recording: Path, log: Path, picture: Path, played: Played, scene: Scene, tets: int) -> Outcome:
+def sum_up(recording: Path, log: Path, picture: Path, played: Played, scene: Scene, tets: int) -> Outcome:
     """Reads the recording, draws, and checks that nothing is missing."""
     from .plots import draw
     from .report import read_health, read_recording
