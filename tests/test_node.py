@@ -337,6 +337,37 @@ def test_a_step_that_fails_ends_the_node_with_the_reason(tmp_path):
     assert (bag / "metadata.yaml").is_file()
 
 
+FRAMES = """
+import sys, types
+
+class Broadcaster:
+    def __init__(self, node): ...
+
+    def sendTransform(self, transforms):
+        for t in transforms:
+            p, q = t.transform.translation, t.transform.rotation
+            print("frame", t.header.frame_id, t.child_frame_id, p.z, q.x, q.w, flush=True)
+
+sys.modules["tf2_ros"] = types.SimpleNamespace(TransformBroadcaster=Broadcaster)
+from finger_sim.ros.node import main
+sys.exit(main())
+"""
+
+
+def test_frames_are_broadcast_where_tf2_is_installed(tmp_path):
+    """The finger frame turns with the finger, its world-aligned twin does not."""
+    arguments = (
+        "-p",
+        f"scene:={write_block(tmp_path)}",
+        "-p",
+        "initial_pose.orientation:=[1.0, 0.0, 0.0, 0.0]",
+    )
+    with NodeProcess(tmp_path / "log", *arguments, program=("-c", FRAMES)) as node:
+        node.wait_for("frame world finger 0.01 1.0 0.0")
+        node.wait_for("frame world finger_world_aligned 0.01 0.0 1.0")
+        assert node.end() == 0
+
+
 def force(message):
     f = message.wrench.force
     return (f.x, f.y, f.z)

@@ -68,6 +68,13 @@ class NodeOptions:
         high=1e9,
         live=True,
     )
+    realtime_priority: int = field(
+        "int",
+        "Priority of the loop's thread under SCHED_FIFO, where the system permits it; 0: as any other thread",
+        default=0,
+        low=0,
+        high=99,
+    )
     device_damping: float = field(
         "float",
         "Damping b of the device, for the stable stiffness b / (T/2 + delay) in diagnostics",

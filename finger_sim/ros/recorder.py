@@ -111,7 +111,7 @@ class Recorder:
                     flushed = time.monotonic()
             self._drain()
             self._bag.close()
-        except BagError as error:
+        except (BagError, OSError, ValueError) as error:
             self.error = str(error)
             self._queue.clear()
 
