@@ -34,7 +34,7 @@ TF_PERIOD = 0.01
 
 COMMAND_QOS = Qos(depth=10, reliable=False)
 """Best effort hears reliable and best-effort senders alike, and a command that came late is of no use.
-The newest is followed whatever the depth, which lets a recording hold those that came while the node was busy."""
+The newest is followed whatever the depth; a recording holds those too that came while the node was busy."""
 
 _TYPES: dict[str, tuple[Any, Qos]] = {
     "mesh_topology": (Mesh, Qos(depth=1, transient_local=True)),
