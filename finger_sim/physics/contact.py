@@ -7,12 +7,12 @@ The force of the plane on the node is n λ_n + t₁ λ_t1 + t₂ λ_t2 [N], worl
 
 from __future__ import annotations
 
-from .compile import kernel
+from .compile import stage
 
 _MARGIN = 0.03  # nodes nearer than this part of the tetrahedra's size get rows: they may be pushed in
 
 
-@kernel
+@stage
 def contact_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
     """Append three rows for every free surface node that can reach the plane in this step; return the number of rows.
 
@@ -44,7 +44,7 @@ def contact_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
     return rows
 
 
-@kernel
+@stage
 def store_contact(model, state, contact_rows):  # type: ignore[no-untyped-def]
     """Node forces of this step into state.contact_force, their wrench into state.wrench; how many nodes carry one."""
     state.contact_force[:] = 0.0
@@ -67,7 +67,7 @@ def store_contact(model, state, contact_rows):  # type: ignore[no-untyped-def]
     return contacts
 
 
-@kernel
+@stage
 def deepest(model, state):  # type: ignore[no-untyped-def]
     """Largest penetration of any surface node, driven ones too, at the state's positions [m], 0 when none."""
     frame, point = model.plane_frame, model.plane_point

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import math
 
-from .compile import kernel
+from .compile import kernel, stage
 from .linear_solver import NODE_LANES, solve, solve_lanes
 
 _FLOOR = 1e-3  # forces are judged relative to the largest row force, and no finer than this part of G · length²
 
 
-@kernel
+@stage
 def touched_nodes(model, state, rows):  # type: ignore[no-untyped-def]
     """Number the slots that the first `rows` rows touch, in slot order: state.touched and row_local. Their count.
 
@@ -48,7 +48,7 @@ def touched_nodes(model, state, rows):  # type: ignore[no-untyped-def]
     return count
 
 
-@kernel
+@stage
 def inverse_between(model, state, count):  # type: ignore[no-untyped-def]
     """S (3 count, 3 count): the symmetric block of A⁻¹ between touched nodes, some of its columns at a time."""
     S = state.S[: 9 * count * count].reshape((3 * count, 3 * count))
@@ -69,7 +69,7 @@ def inverse_between(model, state, count):  # type: ignore[no-untyped-def]
                     S[3 * start + l, 3 * a + i] = Y[k, i, l]
 
 
-@kernel
+@stage
 def solve_rows(model, state, h, contact_rows, rows, count):  # type: ignore[no-untyped-def]
     """Row forces into state.lam[:rows], warm-started from what is there. Returns (sweeps, residual).
 
@@ -220,7 +220,7 @@ def _product(S, J, nodes, J_other, nodes_other):  # type: ignore[no-untyped-def]
     return total
 
 
-@kernel
+@stage
 def apply_rows(model, state, rows):  # type: ignore[no-untyped-def]
     """Add A⁻¹ (h J)ᵀ λ to the velocities of all free nodes; state.J holds h J since `solve_rows`."""
     y = state.rhs

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from ..arrays import Floats
 from ..scene import Limits
-from .compile import kernel
+from .compile import kernel, stage
 from .kinematics import signed_svd
 
 NONE, HYPERBOLIC, ISOTROPIC = 0, 1, 2
@@ -107,7 +107,7 @@ def strain_ratio(model, state):  # type: ignore[no-untyped-def]
         state.strain_ratio[t] = worst
 
 
-@kernel
+@stage
 def limit_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
     """Append the rows that are near their limit, now or after the unconstrained step; return the number of rows.
 
