@@ -101,12 +101,15 @@ def _run(options: argparse.Namespace) -> int:
 def _play(options: argparse.Namespace) -> int:
     from .bags import read_commands
     from .console import gauge
+    from .demo import require_ros
     from .resources import find_bag
 
     commands = read_commands(find_bag(options.bag), options.topic)
-    play = _ros("play")
-    with play.ros_node("finger_sim_play") as node, gauge(f"playing {commands.topic}") as meter:
-        played = play.play(
+    require_ros()
+    from .ros.play import play, ros_node
+
+    with ros_node("finger_sim_play") as node, gauge(f"playing {commands.topic}") as meter:
+        played = play(
             node, commands, topic=options.to, frame_id=options.frame_id, speed=options.speed,
             duration=options.duration, timeout=options.timeout, progress=meter,
         )  # fmt: skip
@@ -157,19 +160,12 @@ def _mesh(options: argparse.Namespace) -> int:
 
 
 def _node(options: argparse.Namespace) -> int:
-    return int(_ros("node").main(options.ros))
+    from .demo import require_ros
 
+    require_ros()
+    from .ros.node import main as run_node
 
-def _ros(name: str) -> Any:
-    """The module of finger_sim.ros. Raises MissingExtraError where there is no ROS 2."""
-    import importlib
-    import importlib.util
-
-    from .errors import MissingExtraError
-
-    if importlib.util.find_spec("rclpy") is None:
-        raise MissingExtraError("no rclpy found: without a sourced ROS 2, this", "ros")
-    return importlib.import_module(f"finger_sim.ros.{name}")
+    return run_node(options.ros)
 
 
 def _parser() -> argparse.ArgumentParser:

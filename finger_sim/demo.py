@@ -35,6 +35,8 @@ RATE = 500.0
 FOLDER = "finger_sim_demo"
 READY_TIMEOUT = 300.0
 """Longest time that a node may take to its first step [s]; compiling takes up to a minute."""
+PATIENCE = 5.0
+"""Time after which a start that takes long is spoken of again [s]."""
 REPORT_TIMEOUT = 15.0
 """Longest time between two messages on /diagnostics of a living node [s]."""
 END_TIMEOUT = 15.0
@@ -82,6 +84,7 @@ class Outcome:
         """What was reached, and what each number means."""
         played, health = self.played, self.health
         peak = int(np.argmax(self.recorded.force))
+        force, when = self.recorded.force[peak], self.recorded.wrench_time[peak]
         out = table()
         rows = (
             ("rate reached", f"{self.rate:.1f} Hz",
@@ -91,8 +94,8 @@ class Outcome:
              f"to simulate a step and send what it brought; there are {1e3 * self.dt:g} ms"),
             ("step time p99", f"{1e3 * health.step_p99:.3f} ms", "99 of 100 steps took less"),
             ("overruns", str(health.overruns), f"steps skipped, of {health.steps}; {health.late} were late"),
-            ("peak force", f"{self.recorded.force[peak]:.3f} N",
-             f"of the plane on the finger, at {self.recorded.wrench_time[peak]:.2f} s"),
+            ("peak force", f"{force:.3f} N",
+             f"of the plane on the finger, at {when:.2f} s" if force > 0.0 else "the finger touched nothing"),
             ("most tetrahedra at a limit", f"{health.limited_tets} of {self.tets}", "in one step"),
             ("max strain/limit", f"{health.max_strain_ratio:.3f}", "1: exactly at the limit"),
             ("max penetration", f"{1e3 * health.max_penetration:.4f} mm", "of the skin into the plane"),
@@ -121,12 +124,16 @@ def run_demo(
 ) -> Outcome:
     """Starts the node, plays the commands of `bag` at it over ROS 2, records, draws, and sums up.
 
+    What cannot work is refused before anything is begun.
+
     out      : folder to make; FOLDER, or FOLDER_2 …, if left out
     rate     : steps a second, instead of the scene's dt [Hz]
     duration : of the commands that are played [s]; all of them if left out
     Raises DemoError when the node or the recording fails, and other FingerSimErrors for what was asked for.
     """
-    _require_extras()
+    require_ros()
+    if importlib.util.find_spec("matplotlib") is None:
+        raise MissingExtraError("drawing", "plot")
     loaded = _at_rate(Scene.load(scene), rate)
     mesh = loaded.load_mesh()
     loaded.driven_nodes(mesh)
@@ -239,16 +246,18 @@ class _Reports:
 
     def await_ready(self) -> None:
         """Until the node simulates; relays what it is doing. Raises DemoError when it does not get there."""
-        said = ""
-        end = time.monotonic() + READY_TIMEOUT
-        while time.monotonic() < end:
+        doing, begin = "", time.monotonic()
+        due = begin + PATIENCE
+        while (now := time.monotonic()) < begin + READY_TIMEOUT:
             for report in self._spin():
-                message = report.status[0].message
                 if any(item.key == "steps" for item in report.status[0].values):
                     return
-                if message != said:
-                    said = message
-                    say(f"the node is {message}")
+                if report.status[0].message != doing:
+                    doing = report.status[0].message
+                    say(f"the node is {doing}")
+            if now >= due:
+                due += PATIENCE
+                say(f"the node is {doing or 'loading'} ({now - begin:.0f} s)")
         raise DemoError(f"the node was not ready within {READY_TIMEOUT:g} s; see {self._log}")
 
     def await_next(self) -> None:
@@ -304,12 +313,10 @@ def _node_process(
                 process.wait()
 
 
-def _require_extras() -> None:
-    """Raises MissingExtraError when ROS 2 or the drawing is not installed, before anything is begun."""
+def require_ros() -> None:
+    """Raises MissingExtraError where rclpy is neither installed nor sourced."""
     if importlib.util.find_spec("rclpy") is None:
         raise MissingExtraError("no rclpy found: without a sourced ROS 2, this", "ros")
-    if importlib.util.find_spec("matplotlib") is None:
-        raise MissingExtraError("drawing", "plot")
 
 
 def _at_rate(scene: Scene, rate: float) -> Scene:

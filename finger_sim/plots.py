@@ -151,7 +151,7 @@ def _caption(figure: Figure, recorded: Recorded) -> None:
     moment = recorded.peak
     force = float(np.linalg.norm(moment.forces.sum(axis=0)))
     largest = float(np.linalg.norm(moment.forces, axis=1).max())
-    text = f"at peak force: {force:.2g} N, {moment.time:.2f} s"
+    text = f"at peak force: {force:.2g} N, {moment.time:.2f} s" if force > 0.0 else "no contact"
     figure.text(0.68, 0.86, text, ha="center", va="center")
     if largest > 0.0:
         arrows = f"arrows: contact force at each node, up to {largest:.2g} N"

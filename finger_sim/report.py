@@ -158,15 +158,18 @@ def read_health(bag: str | Path) -> Health:
 
 
 def _peak(reader: BagReader, triangles: Ints, start: int) -> Moment:
-    """The cloud with the largest sum of contact forces."""
+    """The cloud with the largest sum of contact forces since the first command; without contact, the first."""
     peak, largest = None, -1.0
     for message in _of_type(reader, cdr.POINT_CLOUD):
+        if message.log_time < start:
+            continue
         cloud = cdr.deserialize(message.data, message.type)
         points = np.frombuffer(cloud.data, POINT_DTYPE)
         force = float(np.linalg.norm([points[name].sum(dtype=np.float64) for name in ("fx", "fy", "fz")]))
         if force > largest:
             peak, largest = (message.log_time, points), force
-    assert peak is not None, "_of_type gives at least one message"
+    if peak is None:
+        raise BagError(f"{reader.path}: no cloud of points was recorded after the first command")
     logged, points = peak
     return Moment(
         time=float(_seconds([logged], start)[0]),
