@@ -1,4 +1,7 @@
-"""Bytes that the node sends are what rclpy makes of the same message; commands of no sense are refused."""
+"""What the node sends arrives as the message that was meant; commands of no sense are refused.
+
+Bytes are not compared: those that align a number after a name are whatever lay in rclpy's memory.
+"""
 
 from __future__ import annotations
 
@@ -28,19 +31,20 @@ def stamped(kind, frame_id):
 
 
 @pytest.mark.parametrize("frame_id", ["w", "world", "finger_world_aligned"])
-def test_wrench_bytes_are_those_of_rclpy(frame_id):
-    """A filled template equals the serialised message, whatever the length of the frame's name."""
+def test_a_wrench_arrives_as_the_message(frame_id):
+    """A filled template arrives as the message, whatever the length of the frame's name."""
     values = RNG.normal(size=6)
     message = stamped(WrenchStamped, frame_id)
     f, t = message.wrench.force, message.wrench.torque
     f.x, f.y, f.z, t.x, t.y, t.z = values.tolist()
     filled = messages.wrench_template(frame_id).fill(STAMP, messages.doubles(values))
-    assert filled == serialize_message(message)
+    assert len(filled) == len(serialize_message(message))
+    assert deserialize_message(filled, WrenchStamped) == message
 
 
 @pytest.mark.parametrize("frame_id", ["w", "world", "finger_world_aligned"])
-def test_pose_bytes_are_those_of_rclpy(frame_id):
-    """A filled template equals the serialised message; float32 and int values arrive as what they are."""
+def test_a_pose_arrives_as_the_message(frame_id):
+    """A filled template arrives as the message; float32 and int values as what they are."""
     values = (np.float32(1.5), 1, -2.0, 0.0, 0.0, 0.0, 1)
     message = stamped(PoseStamped, frame_id)
     p, q = message.pose.position, message.pose.orientation
