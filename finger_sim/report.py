@@ -158,7 +158,7 @@ def read_health(bag: str | Path) -> Health:
 
 
 def _peak(reader: BagReader, triangles: Ints, start: int) -> Moment:
-    """The cloud with the largest sum of contact forces since the first command; without contact, the first."""
+    """Cloud with the largest sum of contact forces from the first command on; the first if all are zero."""
     peak, largest = None, -1.0
     for message in _of_type(reader, cdr.POINT_CLOUD):
         if message.log_time < start:
