@@ -24,11 +24,13 @@ def cache_folder() -> str:
     """Folder of compiled kernels, one for each state of the sources.
 
     numba's own cache looks only at the file of the function itself: after an edit of a callee in another file
-    it would go on using the old one. A folder named by a hash over all sources cannot.
+    it would go on using the old one. A folder named by a hash over all sources cannot. Place and time of the files
+    are in the hash because numba compiles anew when they change.
     """
-    digest = hashlib.sha256(numba.__version__.encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.read_bytes())
+    here = Path(__file__).parent
+    digest = hashlib.sha256(f"{numba.__version__} {here}".encode())
+    for source in sorted(here.glob("*.py")):
+        digest.update(f"{source.name} {source.stat().st_mtime_ns} ".encode() + source.read_bytes())
     home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     folder = Path(home) / "finger_sim" / digest.hexdigest()[:16]
     try:
@@ -41,7 +43,7 @@ def cache_folder() -> str:
 
 def compiled_before() -> bool:
     """Whether kernels of exactly these sources are in the cache: a start will take seconds, not a minute."""
-    return any(Path(cache_folder()).rglob("*.nbc"))
+    return any(Path(cache_folder()).rglob("step.step-*.nbc"))
 
 
 def kernel(function: Function) -> Function:
