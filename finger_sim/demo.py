@@ -87,11 +87,10 @@ class Outcome:
         force, when = self.recorded.force[peak], self.recorded.wrench_time[peak]
         out = table()
         rows = (
-            ("rate reached", f"{self.rate:.1f} Hz",
-             f"steps a second while commands came in, of {1.0 / self.dt:g}"),
+            ("rate reached", f"{self.rate:.1f} Hz", f"steps a second, of {1.0 / self.dt:g} asked for"),
             ("real-time factor", f"{self.rate * self.dt:.4f}", "simulated time / wall time"),
             ("step time median", f"{1e3 * health.step_median:.3f} ms",
-             f"to simulate a step and send what it brought; there are {1e3 * self.dt:g} ms"),
+             f"to simulate and send a step, of {1e3 * self.dt:g} ms"),
             ("step time p99", f"{1e3 * health.step_p99:.3f} ms", "99 of 100 steps took less"),
             ("overruns", str(health.overruns), f"steps skipped, of {health.steps}; {health.late} were late"),
             ("peak force", f"{force:.3f} N",
@@ -102,8 +101,8 @@ class Outcome:
             ("solver status", health.status, f"set in {health.troubled} of {health.steps} steps"
              if health.troubled else "in every step"),
             ("commands", f"{self.heard} of {played.sent}",
-             f"heard of those sent, each {1e3 * played.late_p99:.2f} ms after its time or less (p99)"),
-            ("messages recorded", str(self.messages), "on all topics, numbered: a gap would be named below"),
+             f"heard, sent {1e3 * played.late_p99:.2f} ms late (p99)"),
+            ("messages recorded", str(self.messages), "on all topics, numbered"),
             ("bag", str(self.bag), ""),
             ("picture", str(self.picture), ""),
             ("log of the node", str(self.log), ""),
