@@ -99,7 +99,7 @@ def test_block_slides_above_the_angle_of_friction(mu: float, towards: float) -> 
 
 def test_no_friction_without_a_coefficient() -> None:
     """μ = 0: the block slides at g sin θ and the force has no tangential part at all."""
-    scene, normal, downhill = block(0.3, 0.0)
+    scene, _, downhill = block(0.3, 0.0)
     sim = Simulator(scene)
     out = run(sim, 100)
     assert_allclose(out.contact_wrench[:2], 0.0, rtol=0, atol=1e-14)
@@ -249,7 +249,10 @@ def test_device_wrench_is_the_contact_wrench_clamped() -> None:
     assert clamped > 10
 
 
-@pytest.mark.parametrize("normal", [*np.eye(3), *-np.eye(3), *np.random.default_rng(0).standard_normal((6, 3))], ids=str)
+NORMALS = [*np.eye(3), *-np.eye(3), *np.random.default_rng(0).standard_normal((6, 3))]
+
+
+@pytest.mark.parametrize("normal", NORMALS, ids=str)
 def test_plane_frame_is_right_handed(normal: Array) -> None:
     """n, t₁, t₂ are orthonormal, right-handed, n is the normal."""
     n = normal / np.linalg.norm(normal)

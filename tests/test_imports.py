@@ -28,7 +28,7 @@ def test_physics_needs_no_ros() -> None:
     """A simulator is built and stepped where rclpy and message packages cannot be imported at all."""
     out = python(
         "import sys\n"
-        "for name in ('rclpy', 'std_msgs', 'geometry_msgs', 'sensor_msgs', 'builtin_interfaces', 'rosidl_runtime_py'):\n"
+        "for name in ('rclpy', 'std_msgs', 'geometry_msgs', 'sensor_msgs', 'builtin_interfaces', 'rclpy.node'):\n"
         "    sys.modules[name] = None\n"
         "import finger_sim, finger_sim.replay, finger_sim.bags, finger_sim.recordings\n"
         "sim = finger_sim.Simulator(finger_sim.Scene.load('finger'))\n"

@@ -81,7 +81,7 @@ def test_svd_of_matrices_with_zero_columns(axis: int) -> None:
 def test_columns_stay_with_the_axes_they_are_nearest_to() -> None:
     """A stretch along the axes gives V = I in that order whatever the order of the sizes: keys do not jump."""
     for s in [(0.9, 1.0, 1.1), (1.1, 0.9, 1.0), (1.0, 1.1, 0.9)]:
-        U, got, V = decomposed(Rotation.from_rotvec([0.4, 0.1, -0.2]).as_matrix() @ np.diag(s))
+        _, got, V = decomposed(Rotation.from_rotvec([0.4, 0.1, -0.2]).as_matrix() @ np.diag(s))
         assert_allclose(V, np.eye(3), rtol=0, atol=1e-14)
         assert_allclose(got, s, rtol=1e-14)
 

@@ -24,11 +24,13 @@ FULL: dict[str, Any] = {
     "mesh": {"beam": {"size": [0.4, 0.2, 0.2], "cells": [2, 1, 1]}},
     "driven": "base",
     "material": {"density": 900.0, "young": 2e4, "poisson": 0.3, "damping": {"mass": 0.5, "stiffness": 0.01}},
-    "limits": {"projection": "hyperbolic", "stretch": [1.1, None, 1.3], "compress": [None, 0.8, 0.9], "stiffness": None},
+    "limits": {"projection": "hyperbolic", "stretch": [1.1, None, 1.3], "compress": [None, 0.8, 0.9],
+               "stiffness": None},
     "plane": {"point": [0, 0, -1], "normal": [0, 0, 2], "friction": 0.7, "stiffness": 50.0},
     "gravity": [0, 0, -1],
     "solver": {"method": "pgs", "tolerance": 1e-4, "max_iterations": 50, "relinearizations": 0},
-    "coupling": {"type": "kinematic", "max_speed": 1.0, "max_angular_speed": 2.0, "force_limit": 3.0, "torque_limit": 4.0},
+    "coupling": {"type": "kinematic", "max_speed": 1.0, "max_angular_speed": 2.0, "force_limit": 3.0,
+                 "torque_limit": 4.0},
     "dt": 0.002,
     "substeps": 2,
     "initial_pose": {"position": [1, 2, 3], "orientation": [0, 0, 1, 1]},
@@ -276,12 +278,12 @@ def test_a_key_given_twice_is_an_error(tmp_path: Path) -> None:
         assert f"line {line}" in str(error.value)
 
 
-@pytest.mark.parametrize("text", ["", "- 1\n- 2\n", "just text", "mesh: [unclosed", "mesh: {beam: {}}\n\tdt: 1", "a: &x\n b: *y",
-                                  "mesh: !!python/object:os.system {}"])
+@pytest.mark.parametrize("text", ["", "- 1\n- 2\n", "just text", "mesh: [unclosed", "mesh: {beam: {}}\n\tdt: 1",
+                                  "a: &x\n b: *y", "mesh: !!python/object:os.system {}"])
 def test_files_that_are_no_scene(tmp_path: Path, text: str) -> None:
     """Empty, listed, broken or dangerous YAML: a SceneError that names the file."""
     path = written(tmp_path, text)
-    with pytest.raises(SceneError, match="scene.yaml"):
+    with pytest.raises(SceneError, match=r"scene\.yaml"):
         Scene.load(path)
 
 
@@ -289,7 +291,7 @@ def test_bytes_that_are_no_text(tmp_path: Path) -> None:
     """A binary file in place of YAML: a SceneError that names it."""
     path = tmp_path / "scene.yaml"
     path.write_bytes(b"\xff\xfe\x00\x9f")
-    with pytest.raises(SceneError, match="scene.yaml"):
+    with pytest.raises(SceneError, match=r"scene\.yaml"):
         Scene.load(path)
 
 
@@ -333,7 +335,8 @@ def test_null_vectors_are_refused() -> None:
 def test_isotropic_limits_are_one_pair() -> None:
     """`isotropic` takes one value for all axes, as a number or three times; hyperbolic ones may differ."""
     for name in ("stretch", "compress"):
-        data = changed("limits", {"projection": "isotropic", "stretch": 1.1, "compress": 0.9} | {name: [1.0, None, 1.0]})
+        pair: dict[str, Any] = {"stretch": 1.1, "compress": 0.9}
+        data = changed("limits", {"projection": "isotropic"} | pair | {name: [1.0, None, 1.0]})
         error = refusal(data)
         assert error.key == f"limits.{name}"
         assert "isotropic" in error.allowed

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from physics_helpers import UNFIT, Array, beam_scene, finger_scene, healthy, pose, run
+from physics_helpers import UNFIT, Array, beam_scene, finger_scene, healthy, lumped_mass, pose, run
 from scipy.spatial.transform import Rotation
 from test_imports import python
 
@@ -66,7 +66,8 @@ sim.reset(Pose((0, 0, 0.0077), (0.5**0.5, 0, 0, 0.5**0.5)))
 digest = hashlib.sha256()
 for k in range(60):
     out = sim.step(Pose((0, 1e-5 * k, 0.0077 - 3e-5 * k), (0.5**0.5, 0, 0, 0.5**0.5)))
-    digest.update(sim.positions.tobytes() + out.contact_wrench.tobytes() + repr((out.residual, out.iterations)).encode())
+    digest.update(sim.positions.tobytes() + out.contact_wrench.tobytes())
+    digest.update(repr((out.residual, out.iterations)).encode())
 print(digest.hexdigest(), out.limited_tets > 0)
 """
 
@@ -177,7 +178,9 @@ def test_a_jump_is_followed_at_the_speed_limit() -> None:
     run(sim, 30, pose((0, 0, -5e-4)))
     target = pose((1.0, 0.0, -5e-4))
     forces = []
-    for k in range(1, 600):
+    steps = 0
+    while steps < 600:
+        steps += 1
         before = np.array(sim.pose.position)
         out = sim.step(target)
         assert np.linalg.norm(np.array(out.pose.position) - before) <= 2.0 * 1e-3 * (1 + 1e-9)
@@ -185,7 +188,7 @@ def test_a_jump_is_followed_at_the_speed_limit() -> None:
         forces.append(np.linalg.norm(out.contact_wrench[:3]))
         if not out.status & Status.COMMAND_LIMITED:
             break
-    assert k == pytest.approx(500, abs=1)
+    assert steps == pytest.approx(500, abs=1)
     assert out.pose.position == target.position
     assert max(forces) < 100.0
     assert healthy(run(sim, 50))
@@ -195,13 +198,15 @@ def test_a_spin_is_followed_at_the_angular_limit() -> None:
     """A turn of 3 rad at 50 rad/s takes 60 steps, none of them faster."""
     sim = Simulator(pressed_block(plane=None))
     target = pose((0, 0, 0), Rotation.from_rotvec([0, 0, 3.0]))
-    for k in range(1, 100):
+    steps = 0
+    while steps < 100:
+        steps += 1
         before = Rotation.from_quat(sim.pose.orientation)
         out = sim.step(target)
         assert (before.inv() * Rotation.from_quat(out.pose.orientation)).magnitude() <= 0.05 * (1 + 1e-9)
         if not out.status & Status.COMMAND_LIMITED:
             break
-    assert k == pytest.approx(60, abs=1)
+    assert steps == pytest.approx(60, abs=1)
 
 
 def test_a_free_body_takes_no_command() -> None:
@@ -218,6 +223,38 @@ def test_a_free_body_takes_no_command() -> None:
     assert (Rotation.from_quat(a.pose.orientation).inv() * turn).magnitude() < 1e-7
 
 
+def test_the_frame_of_a_free_body_is_its_mass_weighted_best_fit() -> None:
+    """The pose of a deformed free body is the rotation and shift nearest to its nodes by mass (Kabsch, by LAPACK)."""
+    scene = beam_scene((0.4, 0.2, 0.2), (2, 1, 1), young=10.0)
+    sim = Simulator(scene)
+    X = np.array(sim.mesh.points)
+    x = Rotation.from_rotvec([0.3, 0.5, -1.0]).apply(X) + 0.03 * np.random.default_rng(2).standard_normal(X.shape)
+    sim.set_state(x, np.zeros_like(x))
+    out = sim.step()
+    mass, x = lumped_mass(scene, sim.mesh), sim.positions
+    c, C = mass @ x / mass.sum(), mass @ X / mass.sum()
+    U, _, Vt = np.linalg.svd((x - c).T @ (mass[:, None] * (X - C)))
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    assert_allclose(Rotation.from_quat(out.pose.orientation).as_matrix(), R, rtol=0, atol=1e-7)
+    assert_allclose(out.pose.position, c - R @ C, rtol=0, atol=1e-7)
+
+
+def test_set_state_forgets_row_forces() -> None:
+    """The first step from a given state is the same whatever was simulated before: no warm start is left over."""
+    scene = pressed_block(solver={"tolerance": 1e-2})
+    x = np.array(scene.load_mesh().points) * [1.06, 1.0, 0.9] - [0.0, 0.0, 1e-4]
+    used, fresh = Simulator(scene), Simulator(scene)
+    run(used, 10, pose((0, 0, -5e-4)))
+    used.set_state(x, np.zeros_like(x))
+    assert used.step(pose((0, 0, -5e-4))).limit_rows > 5
+    prints = []
+    for sim in (used, fresh):
+        sim.reset(pose((0, 0, -1e-4)))
+        sim.set_state(x, np.zeros_like(x))
+        prints.append(fingerprint(sim, sim.step(pose((0, 0, -1e-4)))))
+    assert prints[0] == prints[1]
+
+
 # --- arrays ---
 
 
@@ -231,10 +268,6 @@ def test_arrays_are_read_only() -> None:
         assert (array.shape, array.dtype) == (shape, np.float64)
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
-        with pytest.raises(ValueError, match="cannot set WRITEABLE|read-only"):
-            array.setflags(write=True)
-            array[0] = 1.0
-            raise ValueError("read-only array was made writable")
 
 
 def test_results_are_their_own() -> None:
@@ -468,7 +501,7 @@ def test_the_papers_beams_run(name: str) -> None:
         assert max(ratios) < 2.0
         assert np.percentile(ratios, 90) < 1.1
         X = np.array(sim.mesh.points)[:, 0]
-        centres = np.array([sim.positions[X == x].mean(axis=0) for x in np.unique(X)])
+        centres = np.array([sim.positions[x == X].mean(axis=0) for x in np.unique(X)])
         length = np.linalg.norm(np.diff(centres, axis=0), axis=1).sum()
         assert length < 1.04 if name == "beam_isotropic" else length > 1.08  # "significantly more stretched"
 
