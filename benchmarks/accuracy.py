@@ -6,7 +6,6 @@ import argparse
 import time
 
 import numpy as np
-
 from strokes import poses
 
 from finger_sim import Pose, Scene, Simulator
@@ -28,7 +27,9 @@ def main() -> None:
     for tolerance in (1e-2, 3e-3, 1e-3, 3e-4, 1e-4):
         force, seconds, sweeps = forces(scene.with_values({"solver.tolerance": tolerance}), commands)
         error = np.linalg.norm(force - exact, axis=1) / peak
-        print(f"{tolerance:>10g} {np.sqrt((error**2).mean()):>8.2%} {error.max():>8.2%} {seconds * 1e3:>10.3f} {sweeps:>7.0f}")
+        print(
+            f"{tolerance:>10g} {np.sqrt((error**2).mean()):>8.2%} {error.max():>8.2%} {seconds * 1e3:>10.3f} {sweeps:>7.0f}"
+        )
 
 
 def forces(scene: Scene, commands: list[Pose]) -> tuple[np.ndarray, float, float]:

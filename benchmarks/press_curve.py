@@ -27,7 +27,9 @@ def main() -> None:
     without = press(scene.with_values(free))
     print(f"{'depth mm':>9}" + "".join(f"{f'{young / 1e3:g} kPa':>9}" for young in MODULI) + f"{'no limits':>11}   [N]")
     for k, depth in enumerate(DEPTHS):
-        print(f"{depth * 1e3:>9.2f}" + "".join(f"{curve[k]:>9.3f}" for curve in curves.values()) + f"{without[k]:>11.3f}")
+        print(
+            f"{depth * 1e3:>9.2f}" + "".join(f"{curve[k]:>9.3f}" for curve in curves.values()) + f"{without[k]:>11.3f}"
+        )
     force = curves[scene.material.young]
     slope = np.gradient(force, DEPTHS)
     at = np.interp([0.2, 1.5, 5.0], force, slope)
@@ -64,9 +66,16 @@ def draw(curves: dict[float, np.ndarray], without: np.ndarray, scene: Scene, out
     figure, axes = plt.subplots(figsize=(5.2, 3.6), layout="constrained")
     for young, force in curves.items():
         chosen = young == scene.material.young
-        axes.plot(DEPTHS * 1e3, force, marker="o", ms=4, lw=2.2 if chosen else 1.0, color="C0" if chosen else "0.55",
-                  ls="-" if chosen else (0, (4, 2)) if young < scene.material.young else (0, (1, 1)),
-                  label=f"E = {young / 1e3:g} kPa" + (" (the scene's)" if chosen else ""))
+        axes.plot(
+            DEPTHS * 1e3,
+            force,
+            marker="o",
+            ms=4,
+            lw=2.2 if chosen else 1.0,
+            color="C0" if chosen else "0.55",
+            ls="-" if chosen else (0, (4, 2)) if young < scene.material.young else (0, (1, 1)),
+            label=f"E = {young / 1e3:g} kPa" + (" (the scene's)" if chosen else ""),
+        )
     axes.plot(DEPTHS * 1e3, without, "-", color="C1", lw=1.2, label="the scene's, without limits")
     axes.axhline(1.0, color="0.8", lw=0.8, zorder=0)
     axes.axvspan(1.5, 2.0, color="0.94", zorder=0)

@@ -6,7 +6,6 @@ import argparse
 import time
 
 import numpy as np
-
 from strokes import poses
 
 from finger_sim import Scene, Simulator, Status
@@ -32,20 +31,34 @@ def main() -> None:
         for pose in commands:
             start = time.perf_counter()
             out = simulator.step(pose)
-            rows.append((time.perf_counter() - start, out.limited_tets, out.limit_rows, out.iterations,
-                         out.max_strain_ratio, bool(out.status & Status.ITERATION_LIMIT)))
+            rows.append(
+                (
+                    time.perf_counter() - start,
+                    out.limited_tets,
+                    out.limit_rows,
+                    out.iterations,
+                    out.max_strain_ratio,
+                    bool(out.status & Status.ITERATION_LIMIT),
+                )
+            )
     seconds, tets, limit_rows, sweeps, ratio, capped = np.array(rows, float).T
-    print(f"{args.scene}, {args.bag}, dt {scene.dt * 1e3:g} ms, {len(simulator.mesh.tets)} tets, "
-          f"{args.repeats} repeats, {len(rows)} steps")
-    print(f"{'tets at a limit':>16} {'steps':>7} {'median ms':>10} {'p99 ms':>8} {'rows':>6} {'sweeps':>7} "
-          f"{'strain/limit':>13} {'capped':>7}")
+    print(
+        f"{args.scene}, {args.bag}, dt {scene.dt * 1e3:g} ms, {len(simulator.mesh.tets)} tets, "
+        f"{args.repeats} repeats, {len(rows)} steps"
+    )
+    print(
+        f"{'tets at a limit':>16} {'steps':>7} {'median ms':>10} {'p99 ms':>8} {'rows':>6} {'sweeps':>7} "
+        f"{'strain/limit':>13} {'capped':>7}"
+    )
     for low, high in [*BANDS, (40, 10**9), (0, 10**9)]:
         band = (tets >= low) & (tets <= high)
         if band.any():
             name = f"{low}" if low == high else f"{low} or more" if high == 10**9 else f"{low} to {high}"
-            print(f"{name:>16} {band.sum():>7} {np.median(seconds[band]) * 1e3:>10.3f} "
-                  f"{np.percentile(seconds[band], 99) * 1e3:>8.3f} {np.median(limit_rows[band]):>6.0f} "
-                  f"{np.median(sweeps[band]):>7.0f} {ratio[band].max():>13.2f} {capped[band].sum():>7.0f}")
+            print(
+                f"{name:>16} {band.sum():>7} {np.median(seconds[band]) * 1e3:>10.3f} "
+                f"{np.percentile(seconds[band], 99) * 1e3:>8.3f} {np.median(limit_rows[band]):>6.0f} "
+                f"{np.median(sweeps[band]):>7.0f} {ratio[band].max():>13.2f} {capped[band].sum():>7.0f}"
+            )
 
 
 if __name__ == "__main__":

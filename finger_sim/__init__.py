@@ -1,8 +1,12 @@
 """A soft finger for haptic loops: an anisotropic strain-limited FEM finger against a plane with friction."""
 
-from .errors import BagError, FingerSimError, MeshError, MissingExtraError, SceneError
-from .scene import Pose, Scene
-from .simulator import Simulator, Status, StepResult
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .errors import BagError, FingerSimError, MeshError, MissingExtraError, SceneError
+    from .physics.step import Status
+    from .scene import Pose, Scene
+    from .simulator import Simulator, StepResult
 
 __all__ = [
     "BagError",
@@ -16,3 +20,24 @@ __all__ = [
     "Status",
     "StepResult",
 ]
+
+_HOME = {
+    "Pose": "scene",
+    "Scene": "scene",
+    "Simulator": "simulator",
+    "StepResult": "simulator",
+    "Status": "physics.step",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Public names are imported when first used, so that `finger_sim --help` does not wait for a compiler."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f".{_HOME.get(name, 'errors')}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -264,9 +264,7 @@ class _McapSource:
                 ):
                     channel = file.channels[number]
                     if channel.message_encoding == "cdr":
-                        message = Message(
-                            channel.topic, file.type_of(channel), logged, published, data, sequence
-                        )
+                        message = Message(channel.topic, file.type_of(channel), logged, published, data, sequence)
                         heapq.heappush(pending, (logged, segment.file, segment.offset, i, message))
             while pending:
                 yield heapq.heappop(pending)[-1]

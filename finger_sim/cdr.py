@@ -82,9 +82,7 @@ def point_cloud(stamp: int, frame_id: str, points: NDArray[np.void]) -> bytes:
     fields = [_new("sensor_msgs/msg/PointField", name, offset, FLOAT32, 1) for name, offset in POINT_FIELDS]
     data = points.view(np.uint8).reshape(-1)
     n = len(points)
-    message = _new(
-        POINT_CLOUD, _header(stamp, frame_id), 1, n, fields, False, POINT_STEP, n * POINT_STEP, data, True
-    )
+    message = _new(POINT_CLOUD, _header(stamp, frame_id), 1, n, fields, False, POINT_STEP, n * POINT_STEP, data, True)
     return _serialize(message, POINT_CLOUD)
 
 

@@ -113,9 +113,11 @@ def _play(options: argparse.Namespace) -> int:
             node, commands, topic=options.to, frame_id=options.frame_id, speed=options.speed,
             duration=options.duration, timeout=options.timeout, progress=meter,
         )  # fmt: skip
-    print(f"{played.sent} commands on {played.topic} in {played.duration / options.speed:.3f} s, "
-          f"late by {1e3 * played.late_median:.3f} ms (median), {1e3 * played.late_p99:.3f} ms (p99), "
-          f"{1e3 * played.late_max:.3f} ms (most)")
+    print(
+        f"{played.sent} commands on {played.topic} in {played.duration / options.speed:.3f} s, "
+        f"late by {1e3 * played.late_median:.3f} ms (median), {1e3 * played.late_p99:.3f} ms (p99), "
+        f"{1e3 * played.late_max:.3f} ms (most)"
+    )
     return DONE
 
 
@@ -128,9 +130,11 @@ def _import(options: argparse.Namespace) -> int:
         concatenate=options.concatenate,
     )  # fmt: skip
     missing = f"; not in the file: {', '.join(made.defaulted)}" if made.defaulted else ""
-    print(f"{made.path}: {made.poses} poses on {made.topic}, {made.duration:.3f} s at {made.rate:.4g} Hz, "
-          f"{made.repeats} repeats, {made.gaps} gaps (longest {made.longest_gap:.3g} s), "
-          f"{made.repeated_stamps} repeated stamps, {made.sign_flips} sign flips{missing}")
+    print(
+        f"{made.path}: {made.poses} poses on {made.topic}, {made.duration:.3f} s at {made.rate:.4g} Hz, "
+        f"{made.repeats} repeats, {made.gaps} gaps (longest {made.longest_gap:.3g} s), "
+        f"{made.repeated_stamps} repeated stamps, {made.sign_flips} sign flips{missing}"
+    )
     return DONE
 
 
@@ -185,29 +189,53 @@ def _parser() -> argparse.ArgumentParser:
     info = _verb(verbs, "info", _info, "what a scene, a bag or a mesh holds", "finger_sim info press_slide")
     info.add_argument("what", metavar="SCENE|BAG|MESH", help="file, folder, or name of a shipped one")
     _add_mesh(verbs)
-    _verb(verbs, "node", _node, "the ROS 2 node in the foreground, as finger_node of `ros2 run`",
-          "finger_sim node --ros-args -p scene:=finger -p record:=touch -r command_pose:=/device/pose",
-          usage="finger_sim node [-h] [--ros-args …]")
+    _verb(
+        verbs,
+        "node",
+        _node,
+        "the ROS 2 node in the foreground, as finger_node of `ros2 run`",
+        "finger_sim node --ros-args -p scene:=finger -p record:=touch -r command_pose:=/device/pose",
+        usage="finger_sim node [-h] [--ros-args …]",
+    )
     return parser
 
 
 def _add_demo(verbs: Any) -> None:
-    demo = _verb(verbs, "demo", _demo, "the main job: node, commands over ROS 2, recording, picture, table",
-                 "finger_sim demo --rate 500 --duration 3 --out first_touch")
+    demo = _verb(
+        verbs,
+        "demo",
+        _demo,
+        "the main job: node, commands over ROS 2, recording, picture, table",
+        "finger_sim demo --rate 500 --duration 3 --out first_touch",
+    )
     add = demo.add_argument
     add("--scene", default="finger", help="scene to simulate (default: %(default)s)")
     add("--bag", default="press_slide", help="bag of commands (default: %(default)s)")
     add("--topic", help="topic of the commands in the bag")
-    add("--rate", type=_positive, default=500.0, metavar="HZ",
-        help="steps a second, instead of the scene's dt (default: %(default)g)")
+    add(
+        "--rate",
+        type=_positive,
+        default=500.0,
+        metavar="HZ",
+        help="steps a second, instead of the scene's dt (default: %(default)g)",
+    )
     add("--duration", type=_positive, metavar="S", help="seconds of the bag (default: all)")
-    add("--out", type=Path, metavar="DIR",
-        help="new folder for bag, picture and log (default: finger_sim_demo, finger_sim_demo_2 …)")
+    add(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="new folder for bag, picture and log (default: finger_sim_demo, finger_sim_demo_2 …)",
+    )
 
 
 def _add_run(verbs: Any) -> None:
-    run = _verb(verbs, "run", _run, "a bag through the simulator, without ROS, bit-identical every time",
-                "finger_sim run finger --bag press_flat -o pressed")
+    run = _verb(
+        verbs,
+        "run",
+        _run,
+        "a bag through the simulator, without ROS, bit-identical every time",
+        "finger_sim run finger --bag press_flat -o pressed",
+    )
     add = run.add_argument
     add("scene", metavar="SCENE", help="scene to simulate")
     add("--bag", required=True, metavar="IN", help="bag of commands")
@@ -216,8 +244,13 @@ def _add_run(verbs: Any) -> None:
 
 
 def _add_play(verbs: Any) -> None:
-    play = _verb(verbs, "play", _play, "a bag's commands onto a ROS 2 topic in real time",
-                 "finger_sim play press_slide --to /finger/command_pose")
+    play = _verb(
+        verbs,
+        "play",
+        _play,
+        "a bag's commands onto a ROS 2 topic in real time",
+        "finger_sim play press_slide --to /finger/command_pose",
+    )
     add = play.add_argument
     add("bag", metavar="BAG", help="bag of commands")
     add("--topic", help="topic of the commands in the bag")
@@ -225,38 +258,78 @@ def _add_play(verbs: Any) -> None:
     add("--frame-id", metavar="FRAME", help="frame_id to send (default: the recorded one)")
     add("--speed", type=_positive, default=1.0, metavar="FACTOR", help="2: twice as fast as recorded")
     add("--duration", type=_positive, metavar="S", help="seconds of the bag (default: all)")
-    add("--timeout", type=_positive, default=10.0, metavar="S",
-        help="how long to wait for a subscriber (default: %(default)g)")
+    add(
+        "--timeout",
+        type=_positive,
+        default=10.0,
+        metavar="S",
+        help="how long to wait for a subscriber (default: %(default)g)",
+    )
 
 
 def _add_import(verbs: Any) -> None:
-    csv = _verb(verbs, "import", _import, "a bag of a CSV of poses: columns t x y z qx qy qz qw, SI units",
-                "finger_sim import strokes.csv -o strokes --set z=0.005 --where rep=3")
+    csv = _verb(
+        verbs,
+        "import",
+        _import,
+        "a bag of a CSV of poses: columns t x y z qx qy qz qw, SI units",
+        "finger_sim import strokes.csv -o strokes --set z=0.005 --where rep=3",
+    )
     add = csv.add_argument
     add("poses", type=Path, metavar="POSES.csv", help="text with a line of column names; t is needed")
     add("-o", "--out", type=Path, required=True, metavar="BAG", help="bag to make")
     add("--topic", default="command_pose", help="topic in the bag (default: %(default)s)")
     add("--frame-id", default="world", metavar="FRAME", help="frame of the poses (default: %(default)s)")
-    add("--set", type=_number, action="append", default=[], metavar="COLUMN=VALUE",
-        help="one value for every row, present in the file or not; may be repeated")
-    add("--offset", type=_number, action="append", default=[], metavar="COLUMN=VALUE",
-        help="add to a column; may be repeated")
-    add("--where", type=_text, action="append", default=[], metavar="COLUMN=TEXT",
-        help="only rows with that cell; may be repeated")
-    add("--concatenate", metavar="COLUMN",
-        help="column that numbers repeats in which t starts anew: play them one after another")
+    add(
+        "--set",
+        type=_number,
+        action="append",
+        default=[],
+        metavar="COLUMN=VALUE",
+        help="one value for every row, present in the file or not; may be repeated",
+    )
+    add(
+        "--offset",
+        type=_number,
+        action="append",
+        default=[],
+        metavar="COLUMN=VALUE",
+        help="add to a column; may be repeated",
+    )
+    add(
+        "--where",
+        type=_text,
+        action="append",
+        default=[],
+        metavar="COLUMN=TEXT",
+        help="only rows with that cell; may be repeated",
+    )
+    add(
+        "--concatenate",
+        metavar="COLUMN",
+        help="column that numbers repeats in which t starts anew: play them one after another",
+    )
 
 
 def _add_mesh(verbs: Any) -> None:
     mesh = _verb(verbs, "mesh", None, "make a mesh of a finger or a beam", "finger_sim mesh beam -o beam.vtu")
     kinds = mesh.add_subparsers(title="kinds", metavar="finger|beam", required=True)
-    finger = _verb(kinds, "finger", _mesh, "a finger with its bones (needs the extra [mesh])",
-                   "finger_sim mesh finger -o fine.vtu --tets 2000")
+    finger = _verb(
+        kinds,
+        "finger",
+        _mesh,
+        "a finger with its bones (needs the extra [mesh])",
+        "finger_sim mesh finger -o fine.vtu --tets 2000",
+    )
     finger.add_argument("--tets", type=int, metavar="N", help="about so many tetrahedra (default: 347)")
-    beam = _verb(kinds, "beam", _mesh, "a box of bricks, five tetrahedra each",
-                 "finger_sim mesh beam -o beam.vtu --size 1 0.2 0.2 --cells 10 2 2")
-    beam.add_argument("--size", type=float, nargs=3, metavar=("X", "Y", "Z"),
-                      help="edges [m] (default: 1 0.2 0.2)")
+    beam = _verb(
+        kinds,
+        "beam",
+        _mesh,
+        "a box of bricks, five tetrahedra each",
+        "finger_sim mesh beam -o beam.vtu --size 1 0.2 0.2 --cells 10 2 2",
+    )
+    beam.add_argument("--size", type=float, nargs=3, metavar=("X", "Y", "Z"), help="edges [m] (default: 1 0.2 0.2)")
     beam.add_argument("--cells", type=int, nargs=3, metavar=("X", "Y", "Z"), help="bricks (default: 10 2 2)")
     for kind, name in ((finger, "finger"), (beam, "beam")):
         kind.set_defaults(kind=name)
@@ -265,7 +338,11 @@ def _add_mesh(verbs: Any) -> None:
 
 
 def _verb(
-    verbs: Any, name: str, work: Callable[[argparse.Namespace], int] | None, what: str, example: str,
+    verbs: Any,
+    name: str,
+    work: Callable[[argparse.Namespace], int] | None,
+    what: str,
+    example: str,
     usage: str | None = None,
 ) -> argparse.ArgumentParser:
     """A subcommand, with what it does and an example in its help."""

@@ -49,8 +49,9 @@ class Gauge:
         self._bar: Progress | None = None
         if sys.stderr.isatty():
             columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
-            self._bar = Progress(*columns, TimeElapsedColumn(), console=console(sys.stderr),
-                                 auto_refresh=False, transient=True)
+            self._bar = Progress(
+                *columns, TimeElapsedColumn(), console=console(sys.stderr), auto_refresh=False, transient=True
+            )
             self._task = self._bar.add_task(text, total=None)
             self._bar.start()
             self._due = 0.0

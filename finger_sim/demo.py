@@ -77,8 +77,10 @@ class Outcome:
         """What a user should know about a run that did its job."""
         if self.rate * self.dt >= REAL_TIME:
             return None
-        return (f"slower than real time: the machine is busy or too slow for {1.0 / self.dt:g} Hz; "
-                f"try --rate {0.5 / self.dt:g}")
+        return (
+            f"slower than real time: the machine is busy or too slow for {1.0 / self.dt:g} Hz; "
+            f"try --rate {0.5 / self.dt:g}"
+        )
 
     def table(self) -> Table:
         """What was reached, and what each number means."""
@@ -284,9 +286,7 @@ class _Reports:
 
 
 @contextmanager
-def _node_process(
-    parameters: Mapping[str, Any], domain: int, log: Path
-) -> Iterator[subprocess.Popen[bytes]]:
+def _node_process(parameters: Mapping[str, Any], domain: int, log: Path) -> Iterator[subprocess.Popen[bytes]]:
     """The node, its output in `log`; ended with the block, by force if it must be."""
     assigned = [f"{name}:={json.dumps(value)}" for name, value in parameters.items()]
     arguments = [text for assignment in assigned for text in ("-p", assignment)]

@@ -52,9 +52,7 @@ def place(rest: NDArray[np.float64], pose: HasPose) -> NDArray[np.float64]:
     return rest @ rotation_matrix(pose.orientation).T + np.asarray(pose.position, dtype=np.float64)
 
 
-def node_strain(
-    strain_ratio: NDArray[np.float64], tets: NDArray[np.integer[Any]], nodes: int
-) -> NDArray[np.float64]:
+def node_strain(strain_ratio: NDArray[np.float64], tets: NDArray[np.integer[Any]], nodes: int) -> NDArray[np.float64]:
     """Strain / limit at each node (nodes,): the largest over the tets (T, 4) around it; 0 if none."""
     strain = np.zeros(nodes)
     np.maximum.at(strain, tets, strain_ratio[:, None])

@@ -326,5 +326,6 @@ def _axes_defects(axes: Floats) -> list[str]:
 def _node_set_defects(sets: Mapping[str, NDArray[np.int64]], n: int) -> list[str]:
     """Node sets that point outside the mesh."""
     outside = {name: nodes[(nodes < 0) | (nodes >= n)] for name, nodes in sets.items()}
-    return [f"node set {name!r}: {text}" for name, nodes in outside.items()
-            for text in _named("out-of-range node", nodes)]
+    return [
+        f"node set {name!r}: {text}" for name, nodes in outside.items() for text in _named("out-of-range node", nodes)
+    ]

@@ -125,8 +125,11 @@ def _body(axes: Any, moment: Moment, plane: Plane | None) -> None:
     _arrows(axes, x, forces, extent)
 
     half = 0.5 * extent.max() * np.array([1.0, 1.0, 1.0])
-    axes.set(xlim=(centre[0] - half[0], centre[0] + half[0]), ylim=(centre[1] - half[1], centre[1] + half[1]),
-             zlim=(centre[2] - half[2], centre[2] + half[2]))
+    axes.set(
+        xlim=(centre[0] - half[0], centre[0] + half[0]),
+        ylim=(centre[1] - half[1], centre[1] + half[1]),
+        zlim=(centre[2] - half[2], centre[2] + half[2]),
+    )
     axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.34)
     axes.set_proj_type("persp", focal_length=4.0)
     axes.view_init(*VIEW)
@@ -196,8 +199,9 @@ def _frame(plane: Plane | None) -> Floats:
 def _eye() -> Floats:
     """Direction to the eye, in the plane's frame."""
     elevation, azimuth = np.radians(VIEW)
-    return np.array([math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth),
-                     math.sin(elevation)])
+    return np.array(
+        [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
+    )
 
 
 def _divided(at_nodes: Floats, triangles: Any) -> Floats:

@@ -161,9 +161,7 @@ def _read_table(source: Path, where: Mapping[str, str], concatenate: str | None)
             found = f"{source}:{line}: column t: got {t:g} s after {previous:g} s"
             raise BagError(f"{found}, allowed: times that never fall{advice}")
         if t + shift > LONGEST:
-            raise BagError(
-                f"{source}:{line}: column t: got {t:g}, {t + shift:g} s after the first; t is in seconds"
-            )
+            raise BagError(f"{source}:{line}: column t: got {t:g}, {t + shift:g} s after the first; t is in seconds")
         previous, previous_cells = t, cells
         table.lines.append(line)
         table.time.append(t + shift)
@@ -195,9 +193,7 @@ def _check_header(source: Path, line: int, header: list[str], asked: list[str]) 
     if len(set(header)) != len(header):
         raise BagError(f"{source}:{line}: got columns {found}, allowed: every name once")
     if "t" not in header:
-        raise BagError(
-            f"{source}:{line}: got columns {found}, allowed: t [s] and any of {', '.join(DEFAULTS)}"
-        )
+        raise BagError(f"{source}:{line}: got columns {found}, allowed: t [s] and any of {', '.join(DEFAULTS)}")
     for name in asked:
         if name not in header:
             raise BagError(f"{source}:{line}: no column {name!r}; found {found}")

@@ -178,9 +178,7 @@ class _Copies:
         while self.next is not None and (log_time is None or self.next.log_time <= log_time):
             message = self.next
             number = message.sequence or None
-            self.recording.write(
-                "command_pose", message.data, message.log_time, message.publish_time, sequence=number
-            )
+            self.recording.write("command_pose", message.data, message.log_time, message.publish_time, sequence=number)
             self.next = next(self.messages, None)
 
 

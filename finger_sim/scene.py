@@ -31,10 +31,12 @@ Limit3 = tuple[float | None, float | None, float | None]
 class Pose:
     """A rigid placement: a point X of the mesh as read goes to R X + position [m]; orientation is R as x y z w."""
 
-    position: Vec3 = field("vec3", "Origin of the finger frame in the world", default=(0.0, 0.0, 0.0), unit="m",
-                           low=-1e4, high=1e4)
-    orientation: Quaternion = field("quaternion", "Orientation of the finger frame in the world, x y z w",
-                                    default=(0.0, 0.0, 0.0, 1.0))
+    position: Vec3 = field(
+        "vec3", "Origin of the finger frame in the world", default=(0.0, 0.0, 0.0), unit="m", low=-1e4, high=1e4
+    )
+    orientation: Quaternion = field(
+        "quaternion", "Orientation of the finger frame in the world, x y z w", default=(0.0, 0.0, 0.0, 1.0)
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,15 +96,25 @@ class Limits:
     """
 
     projection: Literal["hyperbolic", "isotropic"] = field(
-        "choice", "How limits along the axes bound principal stretches", default="hyperbolic",
-        choices=("hyperbolic", "isotropic"))
-    stretch: Limit3 = field("limit3", "Largest stretch s_max along e1, e2, e3", default=(None, None, None),
-                            low=1.0, high=1e3)
-    compress: Limit3 = field("limit3", "Smallest stretch s_min along e1, e2, e3", default=(None, None, None),
-                             low=0.0, high=1.0)
+        "choice",
+        "How limits along the axes bound principal stretches",
+        default="hyperbolic",
+        choices=("hyperbolic", "isotropic"),
+    )
+    stretch: Limit3 = field(
+        "limit3", "Largest stretch s_max along e1, e2, e3", default=(None, None, None), low=1.0, high=1e3
+    )
+    compress: Limit3 = field(
+        "limit3", "Smallest stretch s_min along e1, e2, e3", default=(None, None, None), low=0.0, high=1.0
+    )
     stiffness: float | None = field(
-        "float", "Stiffness κ of a violated limit, in units of E·V of its tetrahedron; null: rigid, as in the paper",
-        default=30.0, low=1e-3, high=1e9, optional=True)
+        "float",
+        "Stiffness κ of a violated limit, in units of E·V of its tetrahedron; null: rigid, as in the paper",
+        default=30.0,
+        low=1e-3,
+        high=1e9,
+        optional=True,
+    )
 
     def check(self, prefix: str) -> None:
         if self.projection == "isotropic":
@@ -126,13 +138,19 @@ class Limits:
 class Plane:
     """A rigid half-space below a plane, with Coulomb friction. The normal points out of it, to the finger."""
 
-    point: Vec3 = field("vec3", "A point of the plane, world", default=(0.0, 0.0, 0.0), unit="m", low=-1e4, high=1e4,
-                        live=True)
+    point: Vec3 = field(
+        "vec3", "A point of the plane, world", default=(0.0, 0.0, 0.0), unit="m", low=-1e4, high=1e4, live=True
+    )
     normal: Vec3 = field("vec3", "Outward normal, world; any length but zero", default=(0.0, 0.0, 1.0), live=True)
     friction: float = field("float", "Coulomb friction coefficient μ", default=0.5, low=0.0, high=100.0, live=True)
     stiffness: float | None = field(
-        "float", "Contact stiffness of a node, in units of E·V^(1/3) (V the mean tetrahedron volume); null: rigid",
-        default=1000.0, low=1e-3, high=1e9, optional=True)
+        "float",
+        "Contact stiffness of a node, in units of E·V^(1/3) (V the mean tetrahedron volume); null: rigid",
+        default=1000.0,
+        low=1e-3,
+        high=1e9,
+        optional=True,
+    )
 
     def check(self, prefix: str) -> None:
         if math.hypot(*self.normal) < 1e-9:
@@ -148,31 +166,56 @@ class Plane:
 class Solver:
     """How the constrained step is solved, and how well."""
 
-    method: Literal["pgs"] = field("choice", "pgs: projected Gauss-Seidel, the paper's", default="pgs",
-                                   choices=("pgs",))
+    method: Literal["pgs"] = field(
+        "choice", "pgs: projected Gauss-Seidel, the paper's", default="pgs", choices=("pgs",)
+    )
     tolerance: float = field(
-        "float", "Stop when no row's force is off by more than this fraction of the largest row force",
-        default=1e-3, low=1e-12, high=0.5, live=True)
-    max_iterations: int = field("int", "Sweeps a step at most; reaching it sets a status bit", default=400,
-                                low=1, high=1_000_000, live=True)
-    relinearizations: int = field("int", "Times a step's rows are formed anew (0: once, as the paper)", default=0,
-                                  low=0, high=0)
+        "float",
+        "Stop when no row's force is off by more than this fraction of the largest row force",
+        default=1e-3,
+        low=1e-12,
+        high=0.5,
+        live=True,
+    )
+    max_iterations: int = field(
+        "int", "Sweeps a step at most; reaching it sets a status bit", default=400, low=1, high=1_000_000, live=True
+    )
+    relinearizations: int = field(
+        "int", "Times a step's rows are formed anew (0: once, as the paper)", default=0, low=0, high=0
+    )
 
 
 @dataclasses.dataclass(frozen=True)
 class Coupling:
     """How a commanded pose drives the bone, and what a device may be asked to render."""
 
-    type: Literal["kinematic"] = field("choice", "kinematic: driven nodes follow the command exactly",
-                                       default="kinematic", choices=("kinematic",))
-    max_speed: float = field("float", "A command that moves faster is followed at this speed", default=2.0,
-                             unit="m/s", low=1e-6, high=1e4, live=True)
-    max_angular_speed: float = field("float", "A command that turns faster is followed at this rate", default=50.0,
-                                     unit="rad/s", low=1e-6, high=1e5, live=True)
-    force_limit: float = field("float", "Clamp on the force of device_wrench", default=10.0, unit="N", low=0.0,
-                               high=1e6, live=True)
-    torque_limit: float = field("float", "Clamp on the torque of device_wrench", default=0.5, unit="N m", low=0.0,
-                                high=1e6, live=True)
+    type: Literal["kinematic"] = field(
+        "choice", "kinematic: driven nodes follow the command exactly", default="kinematic", choices=("kinematic",)
+    )
+    max_speed: float = field(
+        "float",
+        "A command that moves faster is followed at this speed",
+        default=2.0,
+        unit="m/s",
+        low=1e-6,
+        high=1e4,
+        live=True,
+    )
+    max_angular_speed: float = field(
+        "float",
+        "A command that turns faster is followed at this rate",
+        default=50.0,
+        unit="rad/s",
+        low=1e-6,
+        high=1e5,
+        live=True,
+    )
+    force_limit: float = field(
+        "float", "Clamp on the force of device_wrench", default=10.0, unit="N", low=0.0, high=1e6, live=True
+    )
+    torque_limit: float = field(
+        "float", "Clamp on the torque of device_wrench", default=0.5, unit="N m", low=0.0, high=1e6, live=True
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,13 +232,15 @@ class Scene:
     """A soft body, what drives it, what it touches, and how time is stepped."""
 
     mesh: MeshSource = field("part", "The tetrahedral mesh", part=MeshSource)
-    driven: str | Box | None = field("text", "Node set of the mesh that follows the command, or a box; left out: free",
-                                     default=None, optional=True)
+    driven: str | Box | None = field(
+        "text", "Node set of the mesh that follows the command, or a box; left out: free", default=None, optional=True
+    )
     material: Material = field("part", "Elasticity and density", default=Material(), part=Material)
     limits: Limits | None = field("part", "Strain limits; left out: none", default=None, optional=True, part=Limits)
     plane: Plane | None = field("part", "The plane; left out: no contact", default=None, optional=True, part=Plane)
-    gravity: Vec3 = field("vec3", "Acceleration of gravity, world", default=(0.0, 0.0, -9.81), unit="m/s^2",
-                          low=-1e4, high=1e4)
+    gravity: Vec3 = field(
+        "vec3", "Acceleration of gravity, world", default=(0.0, 0.0, -9.81), unit="m/s^2", low=-1e4, high=1e4
+    )
     solver: Solver = field("part", "The step's solver", default=Solver(), part=Solver)
     coupling: Coupling = field("part", "Command to bone", default=Coupling(), part=Coupling)
     dt: float = field("float", "Time step of one Simulator.step", default=0.001, unit="s", low=1e-6, high=0.1)
@@ -242,8 +287,9 @@ class Scene:
             block = data
             for depth, part in enumerate(blocks):
                 if not isinstance(block.get(part), dict):
-                    raise SceneError(key, value, f"a key of this scene, which has no block "
-                                                 f"{'.'.join(blocks[: depth + 1])!r}")
+                    raise SceneError(
+                        key, value, f"a key of this scene, which has no block {'.'.join(blocks[: depth + 1])!r}"
+                    )
                 block = block[part]
             block[name] = value
         return Scene.from_dict(data)
@@ -269,13 +315,18 @@ class Scene:
         elif self.driven in mesh.node_sets:
             nodes = np.asarray(mesh.node_sets[self.driven], np.int32)
         else:
-            raise MeshError(f"driven: the mesh has no node set {self.driven!r}; it has: "
-                            f"{', '.join(sorted(mesh.node_sets)) or 'none'}")
+            raise MeshError(
+                f"driven: the mesh has no node set {self.driven!r}; it has: "
+                f"{', '.join(sorted(mesh.node_sets)) or 'none'}"
+            )
         if nodes.size == 0:
-            raise MeshError(f"driven: {to_dict(self)['driven']!r} selects no node of the mesh; "
-                            f"leave the key out for a free body")
+            raise MeshError(
+                f"driven: {to_dict(self)['driven']!r} selects no node of the mesh; leave the key out for a free body"
+            )
         if nodes.size == len(mesh.points):
-            raise MeshError(f"driven: {to_dict(self)['driven']!r} selects all {nodes.size} nodes: nothing would be soft")
+            raise MeshError(
+                f"driven: {to_dict(self)['driven']!r} selects all {nodes.size} nodes: nothing would be soft"
+            )
         return nodes
 
 

@@ -18,7 +18,7 @@ from .mesh import TetMesh
 from .physics import step as stepping
 from .physics.compile import compiled_before
 from .physics.kinematics import kinematics
-from .physics.model import build_model, build_state, live_values
+from .physics.model import build_model, build_state, with_live_values
 from .physics.step import Status
 from .physics.strain_limits import NONE, strain_ratio
 from .rotations import matrix, normalised
@@ -62,7 +62,8 @@ class Simulator:
         self._state = build_state(self._model, self.mesh.points)
         self._rest_driven = self.mesh.points[self._model.driven]
         self._driven = scene.driven is not None
-        self._command = scene.initial_pose
+        self._command = self.pose = scene.initial_pose
+        self._steps = 0
         if compiled_before():
             tell("loading compiled kernels")
         else:
@@ -137,8 +138,9 @@ class Simulator:
             if value.shape != array.shape or not np.isfinite(value).all():
                 raise SceneError(name, f"shape {value.shape}", f"finite numbers of shape {array.shape}")
             array[:] = value
-        for array in (state.contact_force, state.wrench, state.warm_limit, state.active_rows, state.result):
-            array[:] = 0
+        for report in (state.contact_force, state.wrench, state.warm_limit, state.result):
+            report[:] = 0.0
+        state.active_rows[:] = 0
         kinematics(self._model, state)
         if self._model.projection != NONE:
             strain_ratio(self._model, state)
@@ -153,7 +155,7 @@ class Simulator:
             if key not in live:
                 raise SceneError(key, value, f"values that may change while running: {', '.join(sorted(live))}")
         self.scene = self.scene.with_values(values)
-        self._model = self._model._replace(**live_values(self.scene))
+        self._model = with_live_values(self._model, self.scene)
 
     @property
     def time(self) -> float:
@@ -207,7 +209,7 @@ class Simulator:
 
 def placed(points: Floats, pose: Pose) -> Floats:
     """Mesh points (k, 3) taken to the world: R X + p."""
-    return points @ matrix(pose.orientation).T + np.array(pose.position)
+    return np.asarray(points @ matrix(pose.orientation).T + np.array(pose.position))
 
 
 def _checked(pose: Pose) -> Pose:

@@ -40,8 +40,9 @@ RATE = 500
 
 FLAT = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 """Orientation xyzw with the nail up: maps e2 to world z."""
-SIDE = (0.0, 0.0, 0.0, 1.0)
-"""Orientation xyzw on the side of the finger: e3 stays vertical."""
+SIDE_TILT = math.radians(8.0)
+SIDE = (0.0, math.sin(0.5 * SIDE_TILT), 0.0, math.cos(0.5 * SIDE_TILT))
+"""Orientation xyzw on the side of the finger, e3 up but for a tilt: the tip meets the plane before the knuckle."""
 
 TREMOR = 0.05e-3
 """Largest deflection of the tremor on each axis [m]."""

@@ -79,10 +79,11 @@ def test_tremor_is_that_of_a_hand() -> None:
 
 
 def test_touch_height_of_a_box() -> None:
-    """Flat, the lowest y carries; on the side, the lowest z."""
+    """Flat, the lowest y carries; on the side, the lowest z, the tip tilted down by 8 degrees."""
     corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-2.0, 5.0) for z in (-3.0, 7.0)])
     assert touch_height(corners, FLAT) == pytest.approx(2.0, abs=1e-14)
-    assert touch_height(corners, SIDE) == 3.0
+    tilt = math.radians(8.0)
+    assert touch_height(corners, SIDE) == pytest.approx(3.0 * math.cos(tilt) + math.sin(tilt), abs=1e-14)
 
 
 @pytest.mark.parametrize("name", BAGS)

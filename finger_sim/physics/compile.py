@@ -65,7 +65,11 @@ def _compiled(function: Function, called_from_python: bool) -> Function:
     numba.config.CACHE_DIR = cache_folder()
     try:
         compiled = numba.njit(
-            cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, no_cfunc_wrapper=True,
+            cache=True,
+            nogil=True,
+            error_model="numpy",
+            fastmath=FASTMATH,
+            no_cfunc_wrapper=True,
             no_cpython_wrapper=not called_from_python,
         )(function)
     finally:

@@ -7,13 +7,18 @@ The force of the plane on the node is n λ_n + t₁ λ_t1 + t₂ λ_t2 [N], worl
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from .compile import stage
+
+if TYPE_CHECKING:
+    from .model import Model, State
 
 _MARGIN = 0.03  # nodes nearer than this part of the tetrahedra's size get rows: they may be pushed in
 
 
 @stage
-def contact_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
+def contact_rows(model: Model, state: State, h: float, rows: int) -> int:
     """Append three rows for every free surface node that can reach the plane in this step; return the number of rows.
 
     -1 when the arrays hold no more rows.
@@ -45,7 +50,7 @@ def contact_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
 
 
 @stage
-def store_contact(model, state, contact_rows):  # type: ignore[no-untyped-def]
+def store_contact(model: Model, state: State, contact_rows: int) -> int:
     """Node forces of this step into state.contact_force, their wrench into state.wrench; how many nodes carry one."""
     state.contact_force[:] = 0.0
     wrench = state.wrench
@@ -58,7 +63,9 @@ def store_contact(model, state, contact_rows):  # type: ignore[no-untyped-def]
             contacts += 1
             f, x = state.contact_force[node], state.x[node]
             for k in range(3):
-                f[k] = frame[0, k] * state.lam[row] + frame[1, k] * state.lam[row + 1] + frame[2, k] * state.lam[row + 2]
+                f[k] = (
+                    frame[0, k] * state.lam[row] + frame[1, k] * state.lam[row + 1] + frame[2, k] * state.lam[row + 2]
+                )
                 wrench[k] += f[k]
             a, b, c = x[0] - origin[0], x[1] - origin[1], x[2] - origin[2]
             wrench[3] += b * f[2] - c * f[1]
@@ -68,7 +75,7 @@ def store_contact(model, state, contact_rows):  # type: ignore[no-untyped-def]
 
 
 @stage
-def deepest(model, state):  # type: ignore[no-untyped-def]
+def deepest(model: Model, state: State) -> float:
     """Largest penetration of any surface node, driven ones too, at the state's positions [m], 0 when none."""
     frame, point = model.plane_frame, model.plane_point
     deepest = 0.0

@@ -14,11 +14,17 @@ Driven nodes are no unknowns: their velocity enters as the stress h (h + β) ∂
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+from ..arrays import Floats, Ints
 from .compile import kernel
+
+if TYPE_CHECKING:
+    from .model import Model, State
 
 
 @kernel
-def assemble(model, state, h):  # type: ignore[no-untyped-def]
+def assemble(model: Model, state: State, h: float) -> None:
     """A into state.A_diagonal, A_lower (blocks, slot order) and b into state.rhs (nf, 3).
 
     state.v holds the velocities of the step's start on free nodes and those of this step on driven ones [m/s].
@@ -54,8 +60,16 @@ def assemble(model, state, h):  # type: ignore[no-untyped-def]
                 G[n, i] = U[i, 0] * a0 + U[i, 1] * a1 + U[i, 2] * a2
         if model.touches_driven[t]:
             _add_driven_stress(
-                model.tets[t], model.tet_slot[t], state.v, U, V, G, state.D, stiffness_factor * lame_lambda,
-                stiffness_factor * lame_mu, P,
+                model.tets[t],
+                model.tet_slot[t],
+                state.v,
+                U,
+                V,
+                G,
+                state.D,
+                stiffness_factor * lame_lambda,
+                stiffness_factor * lame_mu,
+                P,
             )
         for a in range(4):
             k = model.tet_slot[t, a]
@@ -84,7 +98,18 @@ def assemble(model, state, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_driven_stress(nodes, slots, v, U, V, G, D, w_lambda, w_mu, P):  # type: ignore[no-untyped-def]
+def _add_driven_stress(
+    nodes: Ints,
+    slots: Ints,
+    v: Floats,
+    U: Floats,
+    V: Floats,
+    G: Floats,
+    D: Floats,
+    w_lambda: float,
+    w_mu: float,
+    P: Floats,
+) -> None:
     """P += ∂P/∂F : Ḟ, weighted, for the velocity gradient Ḟ that the driven nodes alone give a tetrahedron.
 
     In world axes D = Σ v_n g_nᵀ = Ḟ Rᵀ, so that R sym(RᵀḞ) = sym(D) R. D (3, 3) scratch.

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
+from ..arrays import Floats, Ints
 from .compile import kernel
+
+if TYPE_CHECKING:
+    from .model import Model, State
 
 _SWEEPS = 30  # one-sided Jacobi converges quadratically: 3 to 6 in practice
 _ORTHOGONAL = 1e-15
 
 
 @kernel
-def deformation_gradient(tets, gradients, x, F):  # type: ignore[no-untyped-def]
+def deformation_gradient(tets: Ints, gradients: Floats, x: Floats, F: Floats) -> None:
     """F = Σ_n x_n r_nᵀ = D_s D_m⁻¹ of every tetrahedron (Eq. 1-3), columns in its material axes.
 
     tets (T, 4); gradients (T, 4, 3) the rows r_1 … r_4 [1/m]; x (n, 3) [m]; F (T, 3, 3) out.
@@ -25,7 +30,7 @@ def deformation_gradient(tets, gradients, x, F):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def signed_svd(F, U, s, V):  # type: ignore[no-untyped-def]
+def signed_svd(F: Floats, U: Floats, s: Floats, V: Floats) -> None:
     """F = U diag(s) Vᵀ with det U = det V = +1; the singular value of least magnitude carries the sign of det F.
 
     One-sided Jacobi from V = I: accurate also where F is flat, and the columns stay with the axes they are
@@ -77,7 +82,7 @@ def signed_svd(F, U, s, V):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _normalise(U, p, q, s):  # type: ignore[no-untyped-def]
+def _normalise(U: Floats, p: int, q: int, s: Floats) -> None:
     """Orthonormal columns p and q of U from B's, |b_p| ≥ |b_q|; any perpendicular where one has collapsed."""
     if s[p] > 0.0:
         for i in range(3):
@@ -107,7 +112,7 @@ def _normalise(U, p, q, s):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def kinematics(model, state):  # type: ignore[no-untyped-def]
+def kinematics(model: Model, state: State) -> None:
     """F and its signed SVD for every tetrahedron, at the state's positions. Writes state.F, U, s, V."""
     deformation_gradient(model.tets, model.gradients, state.x, state.F)
     for t in range(model.tets.shape[0]):

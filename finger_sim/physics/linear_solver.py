@@ -47,12 +47,7 @@ def analyse(edges: Ints, nodes: int) -> Pattern:
             below[column[0]].update(column[1:])
     start = np.concatenate([[0], np.cumsum([len(c) for c in columns])]).astype(np.int64)
     position = [{r: int(start[k]) + i for i, r in enumerate(c)} for k, c in enumerate(columns)]
-    target = [
-        position[c[b]][c[a]]
-        for c in columns
-        for a in range(len(c) - 1, -1, -1)
-        for b in range(a)
-    ]
+    target = [position[c[b]][c[a]] for c in columns for a in range(len(c) - 1, -1, -1) for b in range(a)]
     row = np.array([r for c in columns for r in c], np.int64)
     return Pattern(order.astype(np.int64), slot, start, row, np.array(target, np.int64))
 
@@ -80,7 +75,7 @@ def block_of(pattern: Pattern, row_slot: int, column_slot: int) -> int:
 
 
 @kernel
-def factor(pattern, diagonal, lower, inverse):  # type: ignore[no-untyped-def]
+def factor(pattern: Pattern, diagonal: Floats, lower: Floats, inverse: Floats) -> bool:
     """Turn A (diagonal, lower) into L (lower) and D⁻¹ (inverse), in place. False if A is not positive definite.
 
     diagonal (nf, 3, 3), lower (nnz, 3, 3), inverse (nf, 3, 3).
@@ -106,9 +101,21 @@ def factor(pattern, diagonal, lower, inverse):  # type: ignore[no-untyped-def]
             x0, x1, x2 = B[0, 0], B[0, 1], B[0, 2]
             y0, y1, y2 = B[1, 0], B[1, 1], B[1, 2]
             z0, z1, z2 = B[2, 0], B[2, 1], B[2, 2]
-            l00, l01, l02 = x0 * i00 + x1 * i10 + x2 * i20, x0 * i10 + x1 * i11 + x2 * i21, x0 * i20 + x1 * i21 + x2 * i22
-            l10, l11, l12 = y0 * i00 + y1 * i10 + y2 * i20, y0 * i10 + y1 * i11 + y2 * i21, y0 * i20 + y1 * i21 + y2 * i22
-            l20, l21, l22 = z0 * i00 + z1 * i10 + z2 * i20, z0 * i10 + z1 * i11 + z2 * i21, z0 * i20 + z1 * i21 + z2 * i22
+            l00, l01, l02 = (
+                x0 * i00 + x1 * i10 + x2 * i20,
+                x0 * i10 + x1 * i11 + x2 * i21,
+                x0 * i20 + x1 * i21 + x2 * i22,
+            )
+            l10, l11, l12 = (
+                y0 * i00 + y1 * i10 + y2 * i20,
+                y0 * i10 + y1 * i11 + y2 * i21,
+                y0 * i20 + y1 * i21 + y2 * i22,
+            )
+            l20, l21, l22 = (
+                z0 * i00 + z1 * i10 + z2 * i20,
+                z0 * i10 + z1 * i11 + z2 * i21,
+                z0 * i20 + z1 * i21 + z2 * i22,
+            )
             for q in range(first, p + 1):
                 B = lower[q]
                 if q == p:
@@ -129,7 +136,7 @@ def factor(pattern, diagonal, lower, inverse):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def solve(pattern, lower, inverse, y):  # type: ignore[no-untyped-def]
+def solve(pattern: Pattern, lower: Floats, inverse: Floats, y: Floats) -> None:
     """Replace y (nf, 3), in slot order, by A⁻¹ y."""
     nf = inverse.shape[0]
     for k in range(nf):
@@ -154,7 +161,7 @@ def solve(pattern, lower, inverse, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def solve_lanes(pattern, lower, inverse, first, Y):  # type: ignore[no-untyped-def]
+def solve_lanes(pattern: Pattern, lower: Floats, inverse: Floats, first: int, Y: Floats) -> None:
     """Replace the LANES right-hand sides Y (nf, 3, LANES) by A⁻¹ Y, from slot `first` on.
 
     Slots before `first` must be zero on entry; they are not computed.
@@ -163,7 +170,9 @@ def solve_lanes(pattern, lower, inverse, first, Y):  # type: ignore[no-untyped-d
     for k in range(first, nf):
         for p in range(pattern.start[k], pattern.start[k + 1]):
             L = lower[p]
-            _subtract(Y[pattern.row[p]], Y[k], L[0, 0], L[0, 1], L[0, 2], L[1, 0], L[1, 1], L[1, 2], L[2, 0], L[2, 1], L[2, 2])
+            _subtract(
+                Y[pattern.row[p]], Y[k], L[0, 0], L[0, 1], L[0, 2], L[1, 0], L[1, 1], L[1, 2], L[2, 0], L[2, 1], L[2, 2]
+            )
     for k in range(nf - 1, first - 1, -1):
         D, y = inverse[k], Y[k]
         d00, d10, d20, d11, d21, d22 = D[0, 0], D[1, 0], D[2, 0], D[1, 1], D[2, 1], D[2, 2]
@@ -174,11 +183,15 @@ def solve_lanes(pattern, lower, inverse, first, Y):  # type: ignore[no-untyped-d
             y[2, l] = d20 * y0 + d21 * y1 + d22 * y2
         for p in range(pattern.start[k], pattern.start[k + 1]):
             L = lower[p]
-            _subtract(y, Y[pattern.row[p]], L[0, 0], L[1, 0], L[2, 0], L[0, 1], L[1, 1], L[2, 1], L[0, 2], L[1, 2], L[2, 2])
+            _subtract(
+                y, Y[pattern.row[p]], L[0, 0], L[1, 0], L[2, 0], L[0, 1], L[1, 1], L[2, 1], L[0, 2], L[1, 2], L[2, 2]
+            )
 
 
 @kernel
-def _subtract(y, x, a, b, c, d, e, f, g, h, i):  # type: ignore[no-untyped-def]
+def _subtract(
+    y: Floats, x: Floats, a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float
+) -> None:
     """y −= [a b c; d e f; g h i] x for (3, LANES) arrays."""
     for l in range(LANES):
         x0, x1, x2 = x[0, l], x[1, l], x[2, l]

@@ -175,16 +175,16 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
     )
 
 
-def live_values(scene: Scene) -> dict[str, object]:
-    """The fields of `Model` that may change while running, as the scene has them."""
-    live: dict[str, object] = {"tolerance": scene.solver.tolerance, "max_iterations": scene.solver.max_iterations}
-    if scene.plane is not None:
-        live |= {
-            "plane_frame": plane_frame(scene.plane.unit_normal),
-            "plane_point": np.array(scene.plane.point),
-            "mu_friction": scene.plane.friction,
-        }
-    return live
+def with_live_values(model: Model, scene: Scene) -> Model:
+    """The model with those fields that may change while running as the scene now has them."""
+    model = model._replace(tolerance=scene.solver.tolerance, max_iterations=scene.solver.max_iterations)
+    if scene.plane is None:
+        return model
+    return model._replace(
+        plane_frame=plane_frame(scene.plane.unit_normal),
+        plane_point=np.array(scene.plane.point),
+        mu_friction=scene.plane.friction,
+    )
 
 
 def plane_frame(normal: Floats) -> Floats:
@@ -216,7 +216,9 @@ def build_state(model: Model, positions: Floats) -> State:
     """A state at rest at the given positions, (n, 3) [m], with its workspace."""
     count, n, nf = len(model.tets), len(positions), len(model.free)
     nnz = len(model.pattern.row)
-    wanted = (9 * count if model.projection != strain_limits.NONE else 0) + 3 * len(model.contact_nodes) * model.has_plane
+    wanted = (9 * count if model.projection != strain_limits.NONE else 0) + 3 * len(
+        model.contact_nodes
+    ) * model.has_plane
     rows = min(MAX_ROWS, wanted)
     touched = min(nf, 4 * rows)
     return State(

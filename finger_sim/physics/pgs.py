@@ -13,15 +13,20 @@ between touched nodes, each when first needed.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
+from ..arrays import Floats, Ints
 from .compile import kernel, stage
 from .linear_solver import NODE_LANES, solve, solve_lanes
+
+if TYPE_CHECKING:
+    from .model import Model, State
 
 _FLOOR = 1e-3  # forces are judged relative to the largest row force, and no finer than this part of G · length²
 
 
 @stage
-def touched_nodes(model, state, rows):  # type: ignore[no-untyped-def]
+def touched_nodes(model: Model, state: State, rows: int) -> int:
     """Number the slots that the first `rows` rows touch, in slot order: state.touched and row_local. Their count.
 
     -1 when they are more than the arrays hold.
@@ -49,7 +54,7 @@ def touched_nodes(model, state, rows):  # type: ignore[no-untyped-def]
 
 
 @stage
-def inverse_between(model, state, count):  # type: ignore[no-untyped-def]
+def inverse_between(model: Model, state: State, count: int) -> None:
     """S (3 count, 3 count): the symmetric block of A⁻¹ between touched nodes, some of its columns at a time."""
     S = state.S[: 9 * count * count].reshape((3 * count, 3 * count))
     Y = state.Y
@@ -70,7 +75,7 @@ def inverse_between(model, state, count):  # type: ignore[no-untyped-def]
 
 
 @stage
-def solve_rows(model, state, h, contact_rows, rows, count):  # type: ignore[no-untyped-def]
+def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: int, count: int) -> tuple[int, float]:
     """Row forces into state.lam[:rows], warm-started from what is there. Returns (sweeps, residual).
 
     The residual is the largest change any row's force would still need on its own (its violation or lack of
@@ -80,7 +85,13 @@ def solve_rows(model, state, h, contact_rows, rows, count):  # type: ignore[no-u
     size = 3 * count
     S = state.S[: size * size].reshape((size, size))
     Z = state.Z[: rows * size].reshape((rows, size))
-    lam, constant, compliance, diagonal, cross = state.lam, state.constant, state.compliance, state.diagonal, state.cross
+    lam, constant, compliance, diagonal, cross = (
+        state.lam,
+        state.constant,
+        state.compliance,
+        state.diagonal,
+        state.cross,
+    )
     J, nodes, u, has_column, scale = state.J, state.row_local, state.u, state.has_column, state.scale
     mu_friction = model.mu_friction
     floor = _FLOOR * model.lame_mu * model.length * model.length
@@ -107,7 +118,14 @@ def solve_rows(model, state, h, contact_rows, rows, count):  # type: ignore[no-u
             g1 = constant[row + 1] + _dot(J[row + 1], nodes[row + 1], u)
             g2 = constant[row + 2] + _dot(J[row + 2], nodes[row + 2], u)
             a, b = tangents(
-                mu_friction * force, lam[row + 1], lam[row + 2], g1, g2, diagonal[row + 1], diagonal[row + 2], cross[row]
+                mu_friction * force,
+                lam[row + 1],
+                lam[row + 2],
+                g1,
+                g2,
+                diagonal[row + 1],
+                diagonal[row + 2],
+                cross[row],
             )
             worst = max(worst, abs(max(0.0, force - g / diagonal[row]) - force))
             worst = max(worst, abs(a - lam[row + 1]), abs(b - lam[row + 2]))
@@ -134,7 +152,14 @@ def solve_rows(model, state, h, contact_rows, rows, count):  # type: ignore[no-u
             g1 = constant[row + 1] + _dot(J[row + 1], nodes[row + 1], u)
             g2 = constant[row + 2] + _dot(J[row + 2], nodes[row + 2], u)
             a, b = tangents(
-                mu_friction * lam[row], lam[row + 1], lam[row + 2], g1, g2, diagonal[row + 1], diagonal[row + 2], cross[row]
+                mu_friction * lam[row],
+                lam[row + 1],
+                lam[row + 2],
+                g1,
+                g2,
+                diagonal[row + 1],
+                diagonal[row + 2],
+                cross[row],
             )
             for t in range(1, 3):
                 change = (a if t == 1 else b) - lam[row + t]
@@ -152,7 +177,9 @@ def solve_rows(model, state, h, contact_rows, rows, count):  # type: ignore[no-u
 
 
 @kernel
-def tangents(bound, l1, l2, g1, g2, w11, w22, w12):  # type: ignore[no-untyped-def]
+def tangents(
+    bound: float, l1: float, l2: float, g1: float, g2: float, w11: float, w22: float, w12: float
+) -> tuple[float, float]:
     """Tangential forces that stop a contact's slip, or the nearest step towards it inside the disk of radius bound.
 
     l1, l2 [N] the forces now, g1, g2 [m] the slips, w [m/N] their 2 × 2 block of W.
@@ -173,7 +200,7 @@ def tangents(bound, l1, l2, g1, g2, w11, w22, w12):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _dot(J, nodes, u):  # type: ignore[no-untyped-def]
+def _dot(J: Floats, nodes: Ints, u: Floats) -> float:
     """h J A⁻¹ (…)ᵀ of one row: its gradient times u at its own nodes."""
     total = 0.0
     for n in range(4):
@@ -184,7 +211,7 @@ def _dot(J, nodes, u):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _push(S, J, nodes, has_column, column, u, change):  # type: ignore[no-untyped-def]
+def _push(S: Floats, J: Floats, nodes: Ints, has_column: Ints, column: Floats, u: Floats, change: float) -> None:
     """u += column · change, the row's column A⁻¹ (h J)ᵀ at the touched nodes; made when first needed."""
     size = S.shape[0]
     if has_column[0] == 0:
@@ -202,7 +229,7 @@ def _push(S, J, nodes, has_column, column, u, change):  # type: ignore[no-untype
 
 
 @kernel
-def _product(S, J, nodes, J_other, nodes_other):  # type: ignore[no-untyped-def]
+def _product(S: Floats, J: Floats, nodes: Ints, J_other: Floats, nodes_other: Ints) -> float:
     """(h J) A⁻¹ (h J_other)ᵀ of two rows."""
     total = 0.0
     for m in range(4):
@@ -214,14 +241,12 @@ def _product(S, J, nodes, J_other, nodes_other):  # type: ignore[no-untyped-def]
             if b >= 0:
                 for i in range(3):
                     T = S[a + i]
-                    total += J[m, i] * (
-                        T[b] * J_other[n, 0] + T[b + 1] * J_other[n, 1] + T[b + 2] * J_other[n, 2]
-                    )
+                    total += J[m, i] * (T[b] * J_other[n, 0] + T[b + 1] * J_other[n, 1] + T[b + 2] * J_other[n, 2])
     return total
 
 
 @stage
-def apply_rows(model, state, rows):  # type: ignore[no-untyped-def]
+def apply_rows(model: Model, state: State, rows: int) -> None:
     """Add A⁻¹ (h J)ᵀ λ to the velocities of all free nodes; state.J holds h J since `solve_rows`."""
     y = state.rhs
     y[:] = 0.0

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import enum
 import math
+from typing import TYPE_CHECKING
 
+from ..arrays import Floats
 from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
 from .elasticity import assemble
@@ -12,6 +14,9 @@ from .kinematics import kinematics
 from .linear_solver import factor, solve
 from .pgs import apply_rows, inverse_between, solve_rows, touched_nodes
 from .strain_limits import NONE, limit_rows, strain_ratio
+
+if TYPE_CHECKING:
+    from .model import Model, State
 
 
 class Status(enum.IntFlag):
@@ -36,7 +41,7 @@ _LOCKED, _INVERTED = int(Status.LOCKED), int(Status.INVERTED)
 
 
 @kernel
-def step(model, state, h):  # type: ignore[no-untyped-def]
+def step(model: Model, state: State, h: float) -> None:
     """Advance `state` by h [s] towards state.targets; what happened goes into state.result.
 
     state.F, U, s, V hold the kinematics of the start (Eq. 1-4), those of the end are left for the next step.
@@ -79,7 +84,7 @@ def step(model, state, h):  # type: ignore[no-untyped-def]
 
 
 @stage
-def drive(model, state, h):  # type: ignore[no-untyped-def]
+def drive(model: Model, state: State, h: float) -> None:
     """Velocities that take the driven nodes to their targets in this step."""
     copy(state.v, state.old)
     for d in range(model.driven.shape[0]):
@@ -89,7 +94,7 @@ def drive(model, state, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def copy(source, out):  # type: ignore[no-untyped-def]
+def copy(source: Floats, out: Floats) -> None:
     """out = source for (n, 3) arrays: a plain loop, which compiles faster than numba's general assignment."""
     for n in range(source.shape[0]):
         for i in range(3):
@@ -97,7 +102,7 @@ def copy(source, out):  # type: ignore[no-untyped-def]
 
 
 @stage
-def free_velocity(model, state):  # type: ignore[no-untyped-def]
+def free_velocity(model: Model, state: State) -> None:
     """Unconstrained velocities of the free nodes into state.v."""
     solve(model.pattern, state.A_lower, state.A_inverse, state.rhs)
     for k in range(model.free.shape[0]):
@@ -106,7 +111,7 @@ def free_velocity(model, state):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def finite(v):  # type: ignore[no-untyped-def]
+def finite(v: Floats) -> bool:
     """Whether every velocity is a finite number."""
     total = 0.0
     for n in range(v.shape[0]):
@@ -115,7 +120,7 @@ def finite(v):  # type: ignore[no-untyped-def]
 
 
 @stage
-def reject(model, state):  # type: ignore[no-untyped-def]
+def reject(model: Model, state: State) -> None:
     """Take back a step that went wrong: velocities as before, no row force to start the next one from."""
     copy(state.old, state.v)
     state.warm_limit[:] = 0.0
@@ -124,7 +129,7 @@ def reject(model, state):  # type: ignore[no-untyped-def]
 
 
 @stage
-def integrate(model, state, h):  # type: ignore[no-untyped-def]
+def integrate(model: Model, state: State, h: float) -> None:
     """Positions at the end of the step; driven nodes are at their targets exactly."""
     for n in range(state.x.shape[0]):
         for i in range(3):
@@ -135,7 +140,7 @@ def integrate(model, state, h):  # type: ignore[no-untyped-def]
 
 
 @stage
-def observe(model, state, contacts, rows):  # type: ignore[no-untyped-def]
+def observe(model: Model, state: State, contacts: int, rows: int) -> None:
     """What the step reports, and the row forces that the next one starts from."""
     result = state.result
     status = int(result[STATUS])

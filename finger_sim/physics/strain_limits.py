@@ -14,15 +14,18 @@ The denominator vanishes where singular values cross (and at s_i = −s_k, inver
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import Floats
+from ..arrays import Floats, Ints
 from ..scene import Limits
 from .compile import kernel, stage
 from .kinematics import signed_svd
+
+if TYPE_CHECKING:
+    from .model import Model, State
 
 NONE, HYPERBOLIC, ISOTROPIC = 0, 1, 2
 PROJECTIONS = {"hyperbolic": HYPERBOLIC, "isotropic": ISOTROPIC}
@@ -61,13 +64,14 @@ def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floa
 
 
 @kernel
-def used(projection, s, V, i, j):  # type: ignore[no-untyped-def]
+def used(projection: int, s: Floats, V: Floats, i: int, j: int) -> float:
     """How much of its room row (i, j) has used up: C = room − used."""
-    return abs(s[i] - 1.0) * (abs(V[j, i]) if projection == HYPERBOLIC else 1.0)
+    weight: float = abs(V[j, i]) if projection == HYPERBOLIC else 1.0
+    return weight * abs(float(s[i]) - 1.0)
 
 
 @kernel
-def gradient(projection, U, s, V, i, j, gap, dC_dF):  # type: ignore[no-untyped-def]
+def gradient(projection: int, U: Floats, s: Floats, V: Floats, i: int, j: int, gap: float, dC_dF: Floats) -> None:
     """∂C/∂F of row (i, j) into dC_dF (3, 3) (Eq. 13, 17, 18; isotropic: Eq. 13 alone)."""
     side = -1.0 if s[i] >= 1.0 else 1.0
     along = side
@@ -92,7 +96,7 @@ def gradient(projection, U, s, V, i, j, gap, dC_dF):  # type: ignore[no-untyped-
 
 
 @kernel
-def strain_ratio(model, state):  # type: ignore[no-untyped-def]
+def strain_ratio(model: Model, state: State) -> None:
     """strain/limit of every tetrahedron into state.strain_ratio (T,): 1 is exactly at its nearest limit."""
     axes = 3 if model.projection == HYPERBOLIC else 1
     for t in range(model.tets.shape[0]):
@@ -108,7 +112,7 @@ def strain_ratio(model, state):  # type: ignore[no-untyped-def]
 
 
 @stage
-def limit_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
+def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
     """Append the rows that are near their limit, now or after the unconstrained step; return the number of rows.
 
     Writes state.J (rows, 4, 3) [1/m], row_slot, constant C + h J v_free, compliance [1/(N m)], scale (N per unit
@@ -130,7 +134,7 @@ def limit_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
                     continue
                 C = room - used(model.projection, s, V, i, j)
                 near = _MARGIN * room
-                if C > near:
+                if near < C:
                     if reach < 0.0:
                         reach = h * _strain_rate(model.tets[t], state.v, r, U, V, state.D)
                     if C - reach > near:
@@ -148,7 +152,7 @@ def limit_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
                         J[n, k] = g
                         ahead += h * g * v[k]
                         force += g * g
-                if C > near and ahead > near:
+                if near < C and ahead > near:
                     continue
                 for n in range(4):
                     state.row_slot[rows, n] = model.tet_slot[t, n]
@@ -165,7 +169,7 @@ def limit_rows(model, state, h, rows):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _strain_rate(nodes, v, r, U, V, D):  # type: ignore[no-untyped-def]
+def _strain_rate(nodes: Ints, v: Floats, r: Floats, U: Floats, V: Floats, D: Floats) -> float:
     """|sym(RᵀḞ)| at the nodes' velocities [1/s]: no singular value changes faster. D (3, 3) scratch."""
     D[:] = 0.0
     for n in range(4):
