@@ -13,7 +13,7 @@ between touched nodes, each when first needed.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..arrays import Floats, Ints
 from .compile import kernel, stage
@@ -80,100 +80,99 @@ def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: in
 
     The residual is the largest change any row's force would still need on its own (its violation or lack of
     complementarity over its diagonal of W), as nodal force relative to the largest one. When the sweeps run out,
-    the iterate with the least residual is kept.
+    the iterate with the least residual is kept. On return state.J holds h J.
     """
     size = 3 * count
     S = state.S[: size * size].reshape((size, size))
     Z = state.Z[: rows * size].reshape((rows, size))
-    lam, constant, compliance, diagonal, cross = (
-        state.lam,
-        state.constant,
-        state.compliance,
-        state.diagonal,
-        state.cross,
-    )
-    J, nodes, u, has_column, scale = state.J, state.row_local, state.u, state.has_column, state.scale
-    mu_friction = model.mu_friction
-    floor = _FLOOR * model.lame_mu * model.length * model.length
-    u[:size] = 0.0
+    J, nodes, lam = state.J, state.row_local, state.lam
+    state.u[:size] = 0.0
     for row in range(rows):
         for n in range(4):
             for i in range(3):
                 J[row, n, i] *= h
-        has_column[row] = 0
-        diagonal[row] = _product(S, J[row], nodes[row], J[row], nodes[row]) + compliance[row]
+        state.has_column[row] = 0
+        state.diagonal[row] = _product(S, J[row], nodes[row], J[row], nodes[row]) + state.compliance[row]
     for row in range(0, contact_rows, 3):
-        cross[row] = _product(S, J[row + 1], nodes[row + 1], J[row + 2], nodes[row + 2])
+        state.cross[row] = _product(S, J[row + 1], nodes[row + 1], J[row + 2], nodes[row + 2])
+    system = System(
+        J, nodes, state.constant, state.compliance, state.diagonal, state.cross, state.scale, lam, state.u,
+        state.has_column, S, Z,
+    )  # fmt: skip
     for row in range(rows):
         if lam[row] != 0.0:
-            _push(S, J[row], nodes[row], has_column[row:], Z[row], u, lam[row])
+            _push(S, J[row], nodes[row], state.has_column[row:], Z[row], state.u, lam[row])
 
+    floor = _FLOOR * model.lame_mu * model.length * model.length
     least = math.inf
     sweeps = 0
     while True:
-        worst, largest = 0.0, floor
-        for row in range(0, contact_rows, 3):
-            force = lam[row]
-            g = constant[row] + compliance[row] * force + _dot(J[row], nodes[row], u)
-            g1 = constant[row + 1] + _dot(J[row + 1], nodes[row + 1], u)
-            g2 = constant[row + 2] + _dot(J[row + 2], nodes[row + 2], u)
-            a, b = tangents(
-                mu_friction * force,
-                lam[row + 1],
-                lam[row + 2],
-                g1,
-                g2,
-                diagonal[row + 1],
-                diagonal[row + 2],
-                cross[row],
-            )
-            worst = max(worst, abs(max(0.0, force - g / diagonal[row]) - force))
-            worst = max(worst, abs(a - lam[row + 1]), abs(b - lam[row + 2]))
-            largest = max(largest, force)
-        for row in range(contact_rows, rows):
-            force = lam[row]
-            g = constant[row] + compliance[row] * force + _dot(J[row], nodes[row], u)
-            worst = max(worst, abs(max(0.0, force - g / diagonal[row]) - force) * scale[row])
-            largest = max(largest, force * scale[row])
-        now = worst / largest
+        worst, largest = visit(system, model.mu_friction, contact_rows, rows, False)
+        now = worst / max(largest, floor)
         if now < least:
             least = now
             state.best[:rows] = lam[:rows]
         if least <= model.tolerance or sweeps == model.max_iterations or not now < math.inf:
             break
-
+        visit(system, model.mu_friction, contact_rows, rows, True)
         sweeps += 1
-        for row in range(0, contact_rows, 3):
-            force = lam[row]
-            g = constant[row] + compliance[row] * force + _dot(J[row], nodes[row], u)
-            lam[row] = max(0.0, force - g / diagonal[row])
-            if lam[row] != force:
-                _push(S, J[row], nodes[row], has_column[row:], Z[row], u, lam[row] - force)
-            g1 = constant[row + 1] + _dot(J[row + 1], nodes[row + 1], u)
-            g2 = constant[row + 2] + _dot(J[row + 2], nodes[row + 2], u)
-            a, b = tangents(
-                mu_friction * lam[row],
-                lam[row + 1],
-                lam[row + 2],
-                g1,
-                g2,
-                diagonal[row + 1],
-                diagonal[row + 2],
-                cross[row],
-            )
-            for t in range(1, 3):
-                change = (a if t == 1 else b) - lam[row + t]
-                if change != 0.0:
-                    lam[row + t] += change
-                    _push(S, J[row + t], nodes[row + t], has_column[row + t :], Z[row + t], u, change)
-        for row in range(contact_rows, rows):
-            force = lam[row]
-            g = constant[row] + compliance[row] * force + _dot(J[row], nodes[row], u)
-            lam[row] = max(0.0, force - g / diagonal[row])
-            if lam[row] != force:
-                _push(S, J[row], nodes[row], has_column[row:], Z[row], u, lam[row] - force)
     lam[:rows] = state.best[:rows]
     return sweeps, least
+
+
+class System(NamedTuple):
+    """The rows of a step, as `visit` needs them; shapes as in State, S and Z as matrices."""
+
+    J: Floats
+    nodes: Ints
+    constant: Floats
+    compliance: Floats
+    diagonal: Floats
+    cross: Floats
+    scale: Floats
+    lam: Floats
+    u: Floats
+    has_column: Ints
+    S: Floats
+    Z: Floats
+
+
+@kernel
+def visit(system: System, mu_friction: float, contact_rows: int, rows: int, update: bool) -> tuple[float, float]:
+    """Every row once: how far its force is from what it wants. With `update` it gets that at once: a sweep.
+
+    A limit or a normal wants max(0, λ − g / W_ii), two tangents want `tangents`. Returns the largest difference and
+    the largest force, as nodal forces [N].
+    """
+    J, nodes, lam, u = system.J, system.nodes, system.lam, system.u
+    constant, compliance, diagonal = system.constant, system.compliance, system.diagonal
+    worst = largest = 0.0
+    for row in range(rows):
+        contact = row < contact_rows
+        if contact and row % 3 != 0:
+            continue
+        g = constant[row] + compliance[row] * lam[row] + _dot(J[row], nodes[row], u)
+        change = max(0.0, lam[row] - g / diagonal[row]) - lam[row]
+        worst = max(worst, abs(change) * system.scale[row])
+        largest = max(largest, lam[row] * system.scale[row])
+        if update and change != 0.0:
+            lam[row] += change
+            _push(system.S, J[row], nodes[row], system.has_column[row:], system.Z[row], u, change)
+        if not contact:
+            continue
+        g1 = constant[row + 1] + _dot(J[row + 1], nodes[row + 1], u)
+        g2 = constant[row + 2] + _dot(J[row + 2], nodes[row + 2], u)
+        a, b = tangents(
+            mu_friction * lam[row], lam[row + 1], lam[row + 2], g1, g2,
+            diagonal[row + 1], diagonal[row + 2], system.cross[row],
+        )  # fmt: skip
+        for t in range(row + 1, row + 3):
+            change = (a if t == row + 1 else b) - lam[t]
+            worst = max(worst, abs(change))
+            if update and change != 0.0:
+                lam[t] += change
+                _push(system.S, J[t], nodes[t], system.has_column[t:], system.Z[t], u, change)
+    return worst, largest
 
 
 @kernel
