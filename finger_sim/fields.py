@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, TypeVar
 
 from .errors import SceneError
+from .rotations import ZERO_NORM, normalised
 
 Kind = Literal["float", "int", "bool", "text", "choice", "vec3", "quaternion", "limit3", "cells", "part"]
 T = TypeVar("T")
@@ -97,10 +98,9 @@ class Field:
 
     def _parse_quaternion(self, value: Any, key: str) -> tuple[float, ...] | None:
         numbers = self._numbers(value, 4)
-        if numbers is None or math.hypot(*numbers) < 1e-9:
+        if numbers is None or math.hypot(*numbers) < ZERO_NORM:
             return None
-        norm = math.hypot(*numbers)
-        return tuple(n / norm for n in numbers)
+        return normalised(numbers)
 
     def _parse_limit3(self, value: Any, key: str) -> tuple[float | None, ...] | None:
         value = _plain(value)

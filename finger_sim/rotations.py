@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from .arrays import Floats
 
 Quaternion = tuple[float, float, float, float]
+
+ZERO_NORM = 1e-9
+"""A quaternion shorter than this has no direction: it is refused as zero."""
 
 
 def matrix(q: Quaternion) -> Floats:
@@ -23,10 +27,11 @@ def matrix(q: Quaternion) -> Floats:
     )
 
 
-def normalised(q: Quaternion) -> Quaternion:
-    """The unit quaternion of the same rotation; `q` must not be zero."""
-    norm = math.hypot(*q)
-    return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
+def normalised(q: Sequence[float]) -> Quaternion:
+    """The unit quaternion of the same rotation; `q` must not be zero. A unit one stays as it is."""
+    x, y, z, w = q
+    norm = math.hypot(x, y, z, w)
+    return (x, y, z, w) if abs(norm - 1.0) < 1e-12 else (x / norm, y / norm, z / norm, w / norm)
 
 
 def angle(a: Quaternion, b: Quaternion) -> float:

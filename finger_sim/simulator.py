@@ -21,7 +21,7 @@ from .physics.kinematics import kinematics
 from .physics.model import build_model, build_state, with_live_values
 from .physics.step import Status
 from .physics.strain_limits import NONE, strain_ratio
-from .rotations import matrix, normalised
+from .rotations import ZERO_NORM, matrix, normalised
 from .scene import Pose, Scene
 
 Progress = Callable[[str], None]
@@ -133,11 +133,11 @@ class Simulator:
         Raises SceneError when a shape is wrong or a number is not finite.
         """
         state = self._state
-        for name, given, array in (("positions", positions, state.x), ("velocities", velocities, state.v)):
-            value = np.asarray(given, np.float64)
-            if value.shape != array.shape or not np.isfinite(value).all():
-                raise SceneError(name, f"shape {value.shape}", f"finite numbers of shape {array.shape}")
-            array[:] = value
+        x, v = (np.array(given, np.float64) for given in (positions, velocities))
+        for name, value in (("positions", x), ("velocities", v)):
+            if value.shape != state.x.shape or not np.isfinite(value).all():
+                raise SceneError(name, f"shape {value.shape}", f"finite numbers of shape {state.x.shape}")
+        state.x[:], state.v[:] = x, v
         for report in (state.contact_force, state.wrench, state.warm_limit, state.result):
             report[:] = 0.0
         state.active_rows[:] = 0
@@ -183,10 +183,11 @@ class Simulator:
         return _read_only(self._state.strain_ratio)
 
     def _move_rigidly(self, before: Pose, after: Pose, h: float) -> None:
-        """After a rejected step: every node goes with the bone, so that the next step starts from a sound body."""
-        if not self._driven:
-            return
+        """After a rejected step: every node goes with the bone; a body without one stops."""
         state = self._state
+        if not self._driven:
+            self.set_state(state.x, np.zeros_like(state.x))
+            return
         turn = matrix(after.orientation) @ matrix(before.orientation).T
         moved = (state.x - np.array(before.position)) @ turn.T + np.array(after.position)
         self.set_state(moved, (moved - state.x) / h)
@@ -217,7 +218,7 @@ def _checked(pose: Pose) -> Pose:
     position, orientation = pose.position, pose.orientation
     if not all(map(math.isfinite, position)) or max(map(abs, position)) > 1e4:
         raise SceneError("command.position", position, specs(Pose)["position"].allowed)
-    if not all(map(math.isfinite, orientation)) or math.hypot(*orientation) < 1e-9:
+    if not all(map(math.isfinite, orientation)) or math.hypot(*orientation) < ZERO_NORM:
         raise SceneError("command.orientation", orientation, specs(Pose)["orientation"].allowed)
     return Pose(position, normalised(orientation))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import math
 from typing import TYPE_CHECKING
 
 from ..arrays import Floats
@@ -23,10 +22,10 @@ class Status(enum.IntFlag):
     """What a step has to say; 0: all well."""
 
     OK = 0
-    NONFINITE = 1  # the step gave a number that is not finite; it was not taken
+    NONFINITE = 1  # the step gave a number that is not finite or beyond all bounds; it was not taken
     INVERTED = 2  # a tetrahedron is inside out
     ITERATION_LIMIT = 4  # the solver stopped before its tolerance: best iterate used
-    STEP_REJECTED = 8  # the step was not taken; the body was moved rigidly with its bone
+    STEP_REJECTED = 8  # the step was not taken; the body was moved rigidly with its bone, or stopped if it has none
     LOCKED = 16  # a tetrahedron has more rows at their limit than ways to deform
     ROW_LIMIT = 32  # more rows near their limit than the arrays hold: the others were left out
     COMMAND_LIMITED = 64  # the command moved faster than the coupling allows and is being caught up with
@@ -35,6 +34,7 @@ class Status(enum.IntFlag):
 # Where `step` writes what it reports, in State.result.
 STATUS, ITERATIONS, RESIDUAL, LIMIT_ROWS, LIMITED_TETS, STRAIN_RATIO, CONTACTS, PENETRATION = range(8)
 
+_FARTHEST = 1e9  # tetrahedron sizes that a node may go in one step
 _REJECTED = int(Status.NONFINITE | Status.STEP_REJECTED)
 _ROW_LIMIT, _ITERATION_LIMIT = int(Status.ROW_LIMIT), int(Status.ITERATION_LIMIT)
 _LOCKED, _INVERTED = int(Status.LOCKED), int(Status.INVERTED)
@@ -73,7 +73,7 @@ def step(model: Model, state: State, h: float) -> None:
         if not residual <= model.tolerance:
             status |= _ITERATION_LIMIT
 
-    if not (definite and finite(state.v)):
+    if not (definite and bounded(state.v, _FARTHEST * model.length / h)):
         reject(model, state)
         state.result[STATUS] = _REJECTED
         return
@@ -111,12 +111,13 @@ def free_velocity(model: Model, state: State) -> None:
 
 
 @kernel
-def finite(v: Floats) -> bool:
-    """Whether every velocity is a finite number."""
-    total = 0.0
+def bounded(v: Floats, bound: float) -> bool:
+    """Whether no velocity is beyond `bound`; one that is not a number is."""
     for n in range(v.shape[0]):
-        total += abs(v[n, 0]) + abs(v[n, 1]) + abs(v[n, 2])
-    return total < math.inf
+        for i in range(3):
+            if not abs(v[n, i]) <= bound:
+                return False
+    return True
 
 
 @stage

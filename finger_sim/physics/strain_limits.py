@@ -39,7 +39,8 @@ _RATIO_ROOM = 1e-3  # strain/limit is counted in units of the room, but of no le
 def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floats, Floats]:
     """All limit rows of one tetrahedron with deformation gradient F, whether near their limit or not.
 
-    F (3, 3) with columns in the material axes e1, e2, e3. Returns C (m,), dC_dF (m, 3, 3); C ≥ 0 is inside.
+    F (3, 3) with columns in the material axes e1, e2, e3. Returns C (m,), dC_dF (m, 3, 3); C ≥ 0 is inside. Rows are
+    in the order of falling |s_i|, for each by material axis.
     `gap` bounds |s_i² − s_k²| from below in the gradient; a step uses SOLVER_GAP.
     Raises ValueError when F is not a finite 3 × 3 matrix.
     """
@@ -52,7 +53,7 @@ def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floa
     stretch, compress = limits.stretch_room, limits.compress_room
     C: list[float] = []
     gradients: list[Any] = []
-    for i in range(3):
+    for i in np.argsort(-np.abs(s), kind="stable"):
         for j in range(3 if projection == HYPERBOLIC else 1):
             room = stretch[j] if s[i] >= 1.0 else compress[j]
             if np.isfinite(room):

@@ -124,9 +124,7 @@ class FingerNode(Node):  # type: ignore[misc]
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         except OSError as error:
-            self.get_logger().warning(
-                f"realtime_priority {priority}: {error.strerror}; running as any other thread"
-            )
+            self.get_logger().warning(f"realtime_priority {priority}: {error.strerror}; running as any other thread")
 
     def _on_progress(self, text: str) -> None:
         self._progress = text
@@ -175,9 +173,7 @@ class FingerNode(Node):  # type: ignore[misc]
         try:
             if request.data == recording:
                 raise FingerSimError(
-                    f"recording already: {recorder.path}"
-                    if recorder and recording
-                    else "nothing is being recorded"
+                    f"recording already: {recorder.path}" if recorder and recording else "nothing is being recorded"
                 )
             if not self._loop.ready:
                 raise FingerSimError(f"not ready: {self._progress}")

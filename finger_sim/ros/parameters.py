@@ -104,13 +104,7 @@ def node_parameters(options: NodeOptions) -> Iterable[Parameter]:
 def to_ros(value: Any, spec: Field) -> Any:
     """The value of a ROS parameter for a field's value."""
     if value is None:
-        return (
-            ""
-            if spec.kind in ("text", "choice")
-            else [math.inf] * 3
-            if spec.kind in ARRAY_KINDS
-            else math.inf
-        )
+        return "" if spec.kind in ("text", "choice") else [math.inf] * 3 if spec.kind in ARRAY_KINDS else math.inf
     if hasattr(value, "as_plain"):
         return yaml.safe_dump(value.as_plain(), default_flow_style=True).strip()
     if spec.kind in ARRAY_KINDS:
@@ -204,9 +198,7 @@ def widen(parameters: list[Any], declared: Mapping[str, Any]) -> list[Any]:
     return out
 
 
-def live_changes(
-    parameters: Iterable[Any], scene: Scene, options: NodeOptions
-) -> tuple[dict[str, Any], NodeOptions]:
+def live_changes(parameters: Iterable[Any], scene: Scene, options: NodeOptions) -> tuple[dict[str, Any], NodeOptions]:
     """What a set request changes: dotted scene keys with plain values, and the node's options after it.
 
     Raises SceneError naming the parameter, its value and the allowed range.
