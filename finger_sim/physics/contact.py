@@ -40,6 +40,8 @@ def contact_rows(model: Model, state: State, h: float, rows: int) -> int:
             for k in range(3):
                 state.row_slot[rows, k + 1] = -1
                 state.J[rows, 0, k] = d[k]
+                for n in range(1, 4):
+                    state.J[rows, n, k] = 0.0
             state.row_tet[rows] = -1 - node
             state.constant[rows] = ahead if axis == 0 else h * (d[0] * v[0] + d[1] * v[1] + d[2] * v[2])
             state.compliance[rows] = model.contact_compliance if axis == 0 else 0.0

@@ -16,7 +16,7 @@ import scipy.sparse.linalg
 from ..arrays import Floats, Ints
 from .compile import kernel
 
-NODE_LANES = 8  # right-hand sides solved together are those of so many nodes:
+NODE_LANES = 16  # right-hand sides solved together are those of so many nodes:
 LANES = 3 * NODE_LANES  # a fixed, contiguous inner loop that vectorises
 
 

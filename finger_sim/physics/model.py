@@ -87,12 +87,12 @@ class State(NamedTuple):
     lam: Floats  # (rows,) row forces
     best: Floats  # (rows,) row forces of the least residual so far
     diagonal: Floats  # (rows,) diagonal of W
-    cross: Floats  # (rows,) W between a contact's two tangents, at its normal's row
+    cross: Floats  # (rows,) W between a contact's two tangents, at the first one's row
     has_column: Ints  # (rows,) 1: the row's column of Z is there
-    row_local: Ints  # (rows, 4) row_slot counted among touched slots, −1: driven or none
+    row_local: Ints  # (rows, 4) where in u the components of each node begin; past the touched ones: driven or none
     local: Ints  # (nf,) touched slots numbered, −1: not touched
     touched: Ints  # (touched,) their slots
-    u: Floats  # (3 touched,) h A⁻¹ Jᵀ λ
+    u: Floats  # (3 touched + 3,) h A⁻¹ Jᵀ λ at touched nodes, then zeros
     S: Floats  # (9 touched²,) A⁻¹ between touched nodes, used as (3 touched, 3 touched)
     Z: Floats  # (3 rows touched,) h A⁻¹ Jᵀ, a row's column contiguous
     Y: Floats  # (nf, 3, LANES) right-hand sides
@@ -256,7 +256,7 @@ def build_state(model: Model, positions: Floats) -> State:
         row_local=np.zeros((rows, 4), np.int64),
         local=np.zeros(nf, np.int64),
         touched=np.zeros(touched, np.int64),
-        u=np.zeros(3 * touched),
+        u=np.zeros(3 * touched + 3),
         S=np.zeros(9 * touched * touched),
         Z=np.zeros(3 * rows * touched),
         Y=np.zeros((nf, 3, LANES)),

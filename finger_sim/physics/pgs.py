@@ -22,6 +22,7 @@ from .linear_solver import NODE_LANES, solve, solve_lanes
 if TYPE_CHECKING:
     from .model import Model, State
 
+_CHECK = 16  # the residual is taken after a sweep that changed little enough to hope, and after every so many
 _FLOOR = 1e-3  # forces are judged relative to the largest row force, and no finer than this part of G · length²
 
 
@@ -29,7 +30,7 @@ _FLOOR = 1e-3  # forces are judged relative to the largest row force, and no fin
 def touched_nodes(model: Model, state: State, rows: int) -> int:
     """Number the slots that the first `rows` rows touch, in slot order: state.touched and row_local. Their count.
 
-    -1 when they are more than the arrays hold.
+    row_local is where a node's three components are in u; those of driven nodes, or none, are past the others and 0.
     """
     local = state.local
     local[:] = -1
@@ -41,15 +42,13 @@ def touched_nodes(model: Model, state: State, rows: int) -> int:
     count = 0
     for k in range(local.shape[0]):
         if local[k] == 0:
-            if count == state.touched.shape[0]:
-                return -1
             local[k] = count
             state.touched[count] = k
             count += 1
     for row in range(rows):
         for n in range(4):
             k = state.row_slot[row, n]
-            state.row_local[row, n] = local[k] if k >= 0 else -1
+            state.row_local[row, n] = 3 * (local[k] if k >= 0 else count)
     return count
 
 
@@ -86,36 +85,42 @@ def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: in
     S = state.S[: size * size].reshape((size, size))
     Z = state.Z[: rows * size].reshape((rows, size))
     J, nodes, lam = state.J, state.row_local, state.lam
-    state.u[:size] = 0.0
+    state.u[: size + 3] = 0.0
     for row in range(rows):
         for n in range(4):
             for i in range(3):
                 J[row, n, i] *= h
         state.has_column[row] = 0
-        state.diagonal[row] = _product(S, J[row], nodes[row], J[row], nodes[row]) + state.compliance[row]
+        state.diagonal[row] = _product(S, J, nodes, row, row) + state.compliance[row]
     for row in range(0, contact_rows, 3):
-        state.cross[row] = _product(S, J[row + 1], nodes[row + 1], J[row + 2], nodes[row + 2])
+        state.cross[row + 1] = _product(S, J, nodes, row + 1, row + 2)
     system = System(
         J, nodes, state.constant, state.compliance, state.diagonal, state.cross, state.scale, lam, state.u,
         state.has_column, S, Z,
     )  # fmt: skip
     for row in range(rows):
         if lam[row] != 0.0:
-            _push(S, J[row], nodes[row], state.has_column[row:], Z[row], state.u, lam[row])
+            state.has_column[row] = 1
+            _make_column(S, J, nodes, row, Z[row])
+            _add(state.u, Z[row], lam[row])
 
     floor = _FLOOR * model.lame_mu * model.length * model.length
-    least = math.inf
+    worst, largest = visit(system, model.mu_friction, contact_rows, rows, False)
+    residual = least = worst / max(largest, floor)
+    state.best[:rows] = lam[:rows]
     sweeps = 0
-    while True:
-        worst, largest = visit(system, model.mu_friction, contact_rows, rows, False)
-        now = worst / max(largest, floor)
-        if now < least:
-            least = now
-            state.best[:rows] = lam[:rows]
-        if least <= model.tolerance or sweeps == model.max_iterations or not now < math.inf:
-            break
-        visit(system, model.mu_friction, contact_rows, rows, True)
+    while residual > model.tolerance and sweeps < model.max_iterations:
         sweeps += 1
+        worst, largest = visit(system, model.mu_friction, contact_rows, rows, True)
+        if worst > model.tolerance * max(largest, floor) and sweeps % _CHECK != 0 and sweeps < model.max_iterations:
+            continue
+        worst, largest = visit(system, model.mu_friction, contact_rows, rows, False)
+        residual = worst / max(largest, floor)
+        if residual < least:
+            least = residual
+            state.best[:rows] = lam[:rows]
+        elif not residual < math.inf:
+            break
     lam[:rows] = state.best[:rows]
     return sweeps, least
 
@@ -144,34 +149,33 @@ def visit(system: System, mu_friction: float, contact_rows: int, rows: int, upda
     A limit or a normal wants max(0, λ − g / W_ii), two tangents want `tangents`. Returns the largest difference and
     the largest force, as nodal forces [N].
     """
-    J, nodes, lam, u = system.J, system.nodes, system.lam, system.u
+    J, nodes, lam, u, S, Z = system.J, system.nodes, system.lam, system.u, system.S, system.Z
     constant, compliance, diagonal = system.constant, system.compliance, system.diagonal
     worst = largest = 0.0
+    along_1 = along_2 = 0.0
     for row in range(rows):
-        contact = row < contact_rows
-        if contact and row % 3 != 0:
-            continue
-        g = constant[row] + compliance[row] * lam[row] + _dot(J[row], nodes[row], u)
-        change = max(0.0, lam[row] - g / diagonal[row]) - lam[row]
+        axis = row % 3 if row < contact_rows else 0
+        if axis == 0:
+            g = constant[row] + compliance[row] * lam[row] + _dot(J, nodes, row, u)
+            wanted = max(0.0, lam[row] - g / diagonal[row])
+            largest = max(largest, lam[row] * system.scale[row])
+        elif axis == 1:
+            along_1, along_2 = tangents(
+                mu_friction * lam[row - 1], lam[row], lam[row + 1],
+                constant[row] + _dot(J, nodes, row, u), constant[row + 1] + _dot(J, nodes, row + 1, u),
+                diagonal[row], diagonal[row + 1], system.cross[row],
+            )  # fmt: skip
+            wanted = along_1
+        else:
+            wanted = along_2
+        change = wanted - lam[row]
         worst = max(worst, abs(change) * system.scale[row])
-        largest = max(largest, lam[row] * system.scale[row])
         if update and change != 0.0:
-            lam[row] += change
-            _push(system.S, J[row], nodes[row], system.has_column[row:], system.Z[row], u, change)
-        if not contact:
-            continue
-        g1 = constant[row + 1] + _dot(J[row + 1], nodes[row + 1], u)
-        g2 = constant[row + 2] + _dot(J[row + 2], nodes[row + 2], u)
-        a, b = tangents(
-            mu_friction * lam[row], lam[row + 1], lam[row + 2], g1, g2,
-            diagonal[row + 1], diagonal[row + 2], system.cross[row],
-        )  # fmt: skip
-        for t in range(row + 1, row + 3):
-            change = (a if t == row + 1 else b) - lam[t]
-            worst = max(worst, abs(change))
-            if update and change != 0.0:
-                lam[t] += change
-                _push(system.S, J[t], nodes[t], system.has_column[t:], system.Z[t], u, change)
+            lam[row] = wanted
+            if system.has_column[row] == 0:
+                system.has_column[row] = 1
+                _make_column(S, J, nodes, row, Z[row])
+            _add(u, Z[row], change)
     return worst, largest
 
 
@@ -199,48 +203,53 @@ def tangents(
 
 
 @kernel
-def _dot(J: Floats, nodes: Ints, u: Floats) -> float:
+def _dot(J: Floats, nodes: Ints, row: int, u: Floats) -> float:
     """h J A⁻¹ (…)ᵀ of one row: its gradient times u at its own nodes."""
-    total = 0.0
-    for n in range(4):
-        k = 3 * nodes[n]
-        if k >= 0:
-            total += J[n, 0] * u[k] + J[n, 1] * u[k + 1] + J[n, 2] * u[k + 2]
+    a, b, c, d = nodes[row, 0], nodes[row, 1], nodes[row, 2], nodes[row, 3]
+    total: float = (
+        (J[row, 0, 0] * u[a] + J[row, 0, 1] * u[a + 1] + J[row, 0, 2] * u[a + 2])
+        + (J[row, 1, 0] * u[b] + J[row, 1, 1] * u[b + 1] + J[row, 1, 2] * u[b + 2])
+        + (J[row, 2, 0] * u[c] + J[row, 2, 1] * u[c + 1] + J[row, 2, 2] * u[c + 2])
+        + (J[row, 3, 0] * u[d] + J[row, 3, 1] * u[d + 1] + J[row, 3, 2] * u[d + 2])
+    )
     return total
 
 
 @kernel
-def _push(S: Floats, J: Floats, nodes: Ints, has_column: Ints, column: Floats, u: Floats, change: float) -> None:
-    """u += column · change, the row's column A⁻¹ (h J)ᵀ at the touched nodes; made when first needed."""
+def _make_column(S: Floats, J: Floats, nodes: Ints, row: int, column: Floats) -> None:
+    """column = A⁻¹ (h J)ᵀ of one row, at the touched nodes."""
     size = S.shape[0]
-    if has_column[0] == 0:
-        has_column[0] = 1
-        column[:] = 0.0
-        for n in range(4):
-            k = 3 * nodes[n]
-            if k >= 0:
-                a, b, c = J[n, 0], J[n, 1], J[n, 2]
-                x, y, z = S[k], S[k + 1], S[k + 2]
-                for i in range(size):
-                    column[i] += a * x[i] + b * y[i] + c * z[i]
-    for i in range(size):
+    column[:] = 0.0
+    for n in range(4):
+        k = nodes[row, n]
+        if k < size:
+            a, b, c = J[row, n, 0], J[row, n, 1], J[row, n, 2]
+            x, y, z = S[k], S[k + 1], S[k + 2]
+            for i in range(size):
+                column[i] += a * x[i] + b * y[i] + c * z[i]
+
+
+@kernel
+def _add(u: Floats, column: Floats, change: float) -> None:
+    """u += column · change."""
+    for i in range(column.shape[0]):
         u[i] += change * column[i]
 
 
 @kernel
-def _product(S: Floats, J: Floats, nodes: Ints, J_other: Floats, nodes_other: Ints) -> float:
-    """(h J) A⁻¹ (h J_other)ᵀ of two rows."""
+def _product(S: Floats, J: Floats, nodes: Ints, row: int, other: int) -> float:
+    """(h J) A⁻¹ (h J)ᵀ of two rows."""
     total = 0.0
     for m in range(4):
-        a = 3 * nodes[m]
-        if a < 0:
+        a = nodes[row, m]
+        if a >= S.shape[0]:
             continue
         for n in range(4):
-            b = 3 * nodes_other[n]
-            if b >= 0:
+            b = nodes[other, n]
+            if b < S.shape[0]:
                 for i in range(3):
-                    T = S[a + i]
-                    total += J[m, i] * (T[b] * J_other[n, 0] + T[b + 1] * J_other[n, 1] + T[b + 2] * J_other[n, 2])
+                    along = S[a + i, b] * J[other, n, 0] + S[a + i, b + 1] * J[other, n, 1]
+                    total += J[row, m, i] * (along + S[a + i, b + 2] * J[other, n, 2])
     return total
 
 
