@@ -27,9 +27,8 @@ def main() -> None:
     for tolerance in (1e-2, 3e-3, 1e-3, 3e-4, 1e-4):
         force, seconds, sweeps = forces(scene.with_values({"solver.tolerance": tolerance}), commands)
         error = np.linalg.norm(force - exact, axis=1) / peak
-        print(
-            f"{tolerance:>10g} {np.sqrt((error**2).mean()):>8.2%} {error.max():>8.2%} {seconds * 1e3:>10.3f} {sweeps:>7.0f}"
-        )
+        rms, worst = np.sqrt((error**2).mean()), error.max()
+        print(f"{tolerance:>10g} {rms:>8.2%} {worst:>8.2%} {seconds * 1e3:>10.3f} {sweeps:>7.0f}")
 
 
 def forces(scene: Scene, commands: list[Pose]) -> tuple[np.ndarray, float, float]:

@@ -31,7 +31,7 @@ def normalised(q: Sequence[float]) -> Quaternion:
     """The unit quaternion of the same rotation; `q` must not be zero. A unit one stays as it is."""
     x, y, z, w = q
     norm = math.hypot(x, y, z, w)
-    return (x, y, z, w) if abs(norm - 1.0) < 1e-12 else (x / norm, y / norm, z / norm, w / norm)
+    return (x, y, z, w) if abs(norm - 1.0) < 4.5e-16 else (x / norm, y / norm, z / norm, w / norm)
 
 
 def angle(a: Quaternion, b: Quaternion) -> float:

@@ -64,8 +64,18 @@ class Body:
             mass[nodes] += 0.25 * vol * material.density
         E, nu = material.young, material.poisson
         bulk, shear = E / (3.0 * (1.0 - 2.0 * nu)), E / (2.0 * (1.0 + nu))
-        return cls(points, tets, gradients, volume, mass, bulk - 2.0 / 3.0 * shear, shear,
-                   material.damping.mass, material.damping.stiffness, np.array(scene.gravity))
+        return cls(
+            points,
+            tets,
+            gradients,
+            volume,
+            mass,
+            bulk - 2.0 / 3.0 * shear,
+            shear,
+            material.damping.mass,
+            material.damping.stiffness,
+            np.array(scene.gravity),
+        )
 
     def deformation(self, x: Array) -> Array:
         """F (T, 3, 3) = Σ_n x_n ⊗ ∇b_n, columns along the material axes."""
@@ -209,8 +219,7 @@ def strain_rows(body: Body, x: Array, scene: Any, gap: float, free: Any) -> Rows
             C.append(value)
             J.append(row.ravel())
             stiffness = limits.stiffness
-            compliance.append(0.0 if stiffness is None else
-                              1.0 / (stiffness * scene.material.young * body.volume[t]))
+            compliance.append(0.0 if stiffness is None else 1.0 / (stiffness * scene.material.young * body.volume[t]))
             tet.append(t)
     return Rows(np.array(C), np.array(J).reshape(-1, x.size), np.array(compliance), np.array(tet, np.int64))
 

@@ -16,14 +16,24 @@ UNFIT = Status.NONFINITE | Status.STEP_REJECTED | Status.ITERATION_LIMIT | Statu
 
 
 def beam_scene(
-    size: Any = (0.4, 0.2, 0.2), cells: Any = (2, 1, 1), *, young: float = 1e5, poisson: float = 0.3,
-    density: float = 1000.0, damping: tuple[float, float] = (0.0, 0.0), **blocks: Any,
+    size: Any = (0.4, 0.2, 0.2),
+    cells: Any = (2, 1, 1),
+    *,
+    young: float = 1e5,
+    poisson: float = 0.3,
+    density: float = 1000.0,
+    damping: tuple[float, float] = (0.0, 0.0),
+    **blocks: Any,
 ) -> Scene:
     """A scene with a generated beam; without gravity, damping, drive, limits and plane unless asked for."""
     data = {
         "mesh": {"beam": {"size": list(size), "cells": list(cells)}},
-        "material": {"density": density, "young": young, "poisson": poisson,
-                     "damping": {"mass": damping[0], "stiffness": damping[1]}},
+        "material": {
+            "density": density,
+            "young": young,
+            "poisson": poisson,
+            "damping": {"mass": damping[0], "stiffness": damping[1]},
+        },
         "gravity": [0.0, 0.0, 0.0],
     }
     return Scene.from_dict(data | blocks)
@@ -53,7 +63,13 @@ def random_F(rng: np.random.Generator, s: Any) -> Array:
 
 
 def assert_derivative(
-    function: Callable[[Array], Array], derivative: Array, at: Array, *, step: float, rtol: float, atol: float,
+    function: Callable[[Array], Array],
+    derivative: Array,
+    at: Array,
+    *,
+    step: float,
+    rtol: float,
+    atol: float,
 ) -> None:
     """`derivative` (m, *at.shape) is that of `function`: at → (m,), by central differences of sixth order.
 
@@ -82,8 +98,15 @@ def nodal_forces(scene: Scene, positions: Array) -> Array:
     """
     assert scene.driven is None
     assert scene.plane is None
-    short = scene.with_values({"dt": 1e-6, "gravity": [0, 0, 0], "material.density": 1e5,
-                               "material.damping.mass": 0.0, "material.damping.stiffness": 0.0})
+    short = scene.with_values(
+        {
+            "dt": 1e-6,
+            "gravity": [0, 0, 0],
+            "material.density": 1e5,
+            "material.damping.mass": 0.0,
+            "material.damping.stiffness": 0.0,
+        }
+    )
     sim = Simulator(short)
     sim.set_state(positions, np.zeros_like(positions))
     sim.step()

@@ -54,9 +54,7 @@ def environment(domain: int) -> dict[str, str]:
 class NodeProcess:
     """The node, started with ROS arguments; `program` replaces `-m finger_sim.ros.node`."""
 
-    def __init__(
-        self, log: Path, *arguments: str, program: Sequence[str] = ("-m", "finger_sim.ros.node")
-    ) -> None:
+    def __init__(self, log: Path, *arguments: str, program: Sequence[str] = ("-m", "finger_sim.ros.node")) -> None:
         self.domain = next(_domains)
         self.log = log
         ros_arguments = ("--ros-args", *arguments) if arguments else ()
@@ -185,9 +183,7 @@ class Client:
 
     def parameter_names(self) -> list[str]:
         """All parameters of the node."""
-        return list(
-            self.call(ListParameters, "/finger/list_parameters", ListParameters.Request()).result.names
-        )
+        return list(self.call(ListParameters, "/finger/list_parameters", ListParameters.Request()).result.names)
 
     def report(self, repeat: Callable[[], None] | None = None) -> tuple[Any, dict[str, str]]:
         """The next whole second's diagnostics: the status and its values by key."""

@@ -205,9 +205,7 @@ def test_cut_anywhere_all_whole_chunks_are_read(tmp_path: Path) -> None:
     assert summary is not None
     assert len(summary.chunk_indexes) >= 6
     whole = [m.data for m in BagReader(bag)]
-    cuts = sorted(
-        {len(data) * i // 40 for i in range(40)} | {len(data) - i for i in range(1, 40)} | set(range(60))
-    )
+    cuts = sorted({len(data) * i // 40 for i in range(40)} | {len(data) - i for i in range(1, 40)} | set(range(60)))
     for cut in cuts:
         path = tmp_path / "cut.mcap"
         path.write_bytes(data[:cut])
@@ -347,9 +345,7 @@ print(BagReader(sys.argv[1]).message_count)
 def test_full_disk_is_told_and_the_rest_stays_readable(tmp_path: Path) -> None:
     """When the system refuses to write, the reason is in the error and the chunks before it can be read."""
     path = tmp_path / "bag"
-    done = subprocess.run(
-        [sys.executable, "-c", FILL_DISK, str(path)], capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([sys.executable, "-c", FILL_DISK, str(path)], capture_output=True, text=True, check=True)
     first, second, count = done.stdout.splitlines()
     assert "File too large" in first
     assert "closed" in second
@@ -503,9 +499,7 @@ def test_which_topic_commands(tmp_path: Path) -> None:
     assert read_commands(bag("ns", ("left/command_pose", poses), ("p", poses))).topic == "/left/command_pose"
     with pytest.raises(BagError, match=r"several topics of poses: /a, /b; choose one with --topic"):
         read_commands(bag("two", ("a", poses), ("b", poses)))
-    with pytest.raises(
-        BagError, match=r"topic /w is geometry_msgs/msg/WrenchStamped, allowed: .*PoseStamped"
-    ):
+    with pytest.raises(BagError, match=r"topic /w is geometry_msgs/msg/WrenchStamped, allowed: .*PoseStamped"):
         read_commands(bag("wrong", ("w", wrench), ("p", poses)), "w")
     with pytest.raises(BagError, match=r"no topic of type .*PoseStamped; found /w \(geometry_msgs"):
         read_commands(bag("none", ("w", wrench)))

@@ -108,8 +108,14 @@ def test_limits_never_create_energy(projection: str, stiffness: float | None, dt
     """
     limits = {"projection": projection, "stretch": 1.05, "compress": 0.95, "stiffness": stiffness}
     young = 1e4
-    scene = beam_scene((0.4, 0.2, 0.2), (3, 2, 2), young=young, dt=dt, limits=limits,
-                       solver={"tolerance": 1e-6, "max_iterations": 20_000})
+    scene = beam_scene(
+        (0.4, 0.2, 0.2),
+        (3, 2, 2),
+        young=young,
+        dt=dt,
+        limits=limits,
+        solver={"tolerance": 1e-6, "max_iterations": 20_000},
+    )
     sim = Simulator(scene)
     body = naive.Body.of(scene, sim.mesh)
     v = np.sin(7.0 * body.points) @ np.random.default_rng(2).standard_normal((3, 3))

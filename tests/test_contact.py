@@ -24,9 +24,16 @@ def block(angle: float = 0.0, mu: float = 0.5, towards: float = 0.0, **blocks: A
     """
     downhill = np.array([np.cos(towards), np.sin(towards), 0.0])
     gravity = G * (np.sin(angle) * downhill - np.cos(angle) * np.array([0.0, 0.0, 1.0]))
-    scene = beam_scene((0.2, 0.2, 0.1), (2, 2, 1), young=1e6, damping=(0.0, 0.01), gravity=list(gravity),
-                       plane={"point": [0, 0, 0], "friction": mu}, solver={"tolerance": 1e-8, "max_iterations": 5000},
-                       **blocks)
+    scene = beam_scene(
+        (0.2, 0.2, 0.1),
+        (2, 2, 1),
+        young=1e6,
+        damping=(0.0, 0.01),
+        gravity=list(gravity),
+        plane={"point": [0, 0, 0], "friction": mu},
+        solver={"tolerance": 1e-8, "max_iterations": 5000},
+        **blocks,
+    )
     return scene, np.array([0.0, 0.0, 1.0]), downhill
 
 
@@ -38,8 +45,13 @@ def test_wrench_balances_the_weight_at_rest(index: int) -> None:
     """
     turn = [Rotation.identity(), *rotations(1, seed=21)[1:]][index] if index < 4 else Rotation.identity()
     scene, normal, _ = block()
-    scene = scene.with_values({"gravity": list(turn.apply([0, 0, -G])), "plane.normal": list(turn.apply(normal)),
-                               "plane.point": [0.3, -0.2, 0.1]})
+    scene = scene.with_values(
+        {
+            "gravity": list(turn.apply([0, 0, -G])),
+            "plane.normal": list(turn.apply(normal)),
+            "plane.point": [0.3, -0.2, 0.1],
+        }
+    )
     sim = Simulator(scene)
     placed = turn.apply(np.array(sim.mesh.points)) + [0.3, -0.2, 0.1]
     sim.set_state(placed, np.zeros_like(placed))
@@ -69,8 +81,9 @@ def test_block_sticks_below_the_angle_of_friction(mu: float, towards: float) -> 
     assert healthy(out)
     assert np.abs(sim.positions - start).max() < 1e-8
     weight = lumped_mass(scene, sim.mesh).sum() * G
-    assert_allclose(out.contact_wrench[:3], weight * (np.cos(angle) * normal - np.sin(angle) * downhill), rtol=0,
-                    atol=1e-4 * weight)
+    assert_allclose(
+        out.contact_wrench[:3], weight * (np.cos(angle) * normal - np.sin(angle) * downhill), rtol=0, atol=1e-4 * weight
+    )
 
 
 @pytest.mark.parametrize("mu", [0.2, 0.5])
@@ -143,9 +156,16 @@ def coulomb_holds(sim: Simulator, before: Array, mu: float, h: float, tolerance:
 
 def test_every_node_obeys_coulomb() -> None:
     """Nodal forces of a soft driven block that is sheared over the plane: some nodes stick, some slip, all obey."""
-    scene = beam_scene((0.04, 0.04, 0.02), (4, 4, 2), young=5e4, poisson=0.4, damping=(0.0, 0.002),
-                       driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]}, plane={"point": [0, 0, 0], "friction": 0.4},
-                       solver={"tolerance": 1e-9, "max_iterations": 20_000})
+    scene = beam_scene(
+        (0.04, 0.04, 0.02),
+        (4, 4, 2),
+        young=5e4,
+        poisson=0.4,
+        damping=(0.0, 0.002),
+        driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]},
+        plane={"point": [0, 0, 0], "friction": 0.4},
+        solver={"tolerance": 1e-9, "max_iterations": 20_000},
+    )
     sim = Simulator(scene)
     for depth in np.linspace(0.0, 1e-3, 40):
         sim.step(pose((0, 0, -depth)))
@@ -165,15 +185,24 @@ def test_contact_force_is_the_reaction_at_the_bone(mesh: str) -> None:
     The bone's pull is −Σ of the elastic forces on driven nodes, by Voigt assembly of its own; so is its torque.
     """
     if mesh == "beam":
-        scene = beam_scene((0.04, 0.04, 0.02), (4, 4, 2), young=5e4, poisson=0.4, damping=(0.0, 0.01),
-                           driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]}, plane={"point": [0, 0, 0], "friction": 0.5},
-                           gravity=[0, 0, -G], solver={"tolerance": 1e-8, "max_iterations": 20_000})
+        scene = beam_scene(
+            (0.04, 0.04, 0.02),
+            (4, 4, 2),
+            young=5e4,
+            poisson=0.4,
+            damping=(0.0, 0.01),
+            driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]},
+            plane={"point": [0, 0, 0], "friction": 0.5},
+            gravity=[0, 0, -G],
+            solver={"tolerance": 1e-8, "max_iterations": 20_000},
+        )
         command, ticks = pose((2e-4, 1e-4, -1e-3)), 40
     else:  # without limits: what they carry is no elastic force
         data = finger_scene().to_dict()
         del data["limits"]
-        scene = Scene.from_dict(data).with_values({"solver.tolerance": 1e-8, "solver.max_iterations": 20_000,
-                                                   "material.damping.stiffness": 0.01})
+        scene = Scene.from_dict(data).with_values(
+            {"solver.tolerance": 1e-8, "solver.max_iterations": 20_000, "material.damping.stiffness": 0.01}
+        )
         turn = Rotation.from_quat(scene.initial_pose.orientation)
         height = turn.apply(np.array(scene.load_mesh().points))[:, 2].min()
         command, ticks = pose((0.0, 2e-4, -height - 1e-3), turn), 150
@@ -191,8 +220,9 @@ def test_contact_force_is_the_reaction_at_the_bone(mesh: str) -> None:
     pulled = -forces[driven]  # elastic forces sum to none over the whole body: this is what free nodes have
     force = out.contact_wrench[:3]
     assert np.linalg.norm(force) > 0.1
-    assert_allclose(force + weight[free].sum(axis=0) + pulled.sum(axis=0), 0.0, rtol=0,
-                    atol=1e-4 * np.linalg.norm(force))
+    assert_allclose(
+        force + weight[free].sum(axis=0) + pulled.sum(axis=0), 0.0, rtol=0, atol=1e-4 * np.linalg.norm(force)
+    )
     arms = sim.positions - np.array(out.pose.position)
     torque = np.cross(arms[free], weight[free]).sum(axis=0) + np.cross(arms[driven], pulled).sum(axis=0)
     assert_allclose(out.contact_wrench[3:] + torque, 0.0, rtol=0, atol=1e-4 * np.linalg.norm(force) * 0.05)
@@ -200,9 +230,16 @@ def test_contact_force_is_the_reaction_at_the_bone(mesh: str) -> None:
 
 def test_lever_arm_gives_sign_and_point_of_the_torque() -> None:
     """Pressed on one edge far along +x, the torque about the frame's origin is −x F about y; moved origins shift it."""
-    scene = beam_scene((0.1, 0.04, 0.02), (5, 2, 1), young=5e4, poisson=0.3, damping=(0.0, 0.01),
-                       driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]}, plane={"point": [0, 0, 0], "friction": 0.0},
-                       solver={"tolerance": 1e-8, "max_iterations": 5000})
+    scene = beam_scene(
+        (0.1, 0.04, 0.02),
+        (5, 2, 1),
+        young=5e4,
+        poisson=0.3,
+        damping=(0.0, 0.01),
+        driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]},
+        plane={"point": [0, 0, 0], "friction": 0.0},
+        solver={"tolerance": 1e-8, "max_iterations": 5000},
+    )
     tilt = Rotation.from_euler("y", 2.0, degrees=True)  # +x end down
     sim = Simulator(scene)
     lowest = tilt.apply(np.array(sim.mesh.points))[:, 2].min()

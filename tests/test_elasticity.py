@@ -57,8 +57,12 @@ def test_forces_rotate_with_a_deformed_body(index: int) -> None:
     x = points + 0.02 * np.random.default_rng(3).standard_normal(points.shape)
     turn = rotations(3, seed=8)[index]
     forces = nodal_forces(scene, x)
-    assert_allclose(nodal_forces(scene, turn.apply(x) + [1.0, 2.0, 3.0]), turn.apply(forces),
-                    rtol=0, atol=1e-7 * np.abs(forces).max())
+    assert_allclose(
+        nodal_forces(scene, turn.apply(x) + [1.0, 2.0, 3.0]),
+        turn.apply(forces),
+        rtol=0,
+        atol=1e-7 * np.abs(forces).max(),
+    )
 
 
 def test_forces_against_the_energy() -> None:
@@ -134,8 +138,16 @@ def test_tangent_stiffness_is_the_derivative_of_the_forces(young: float) -> None
 @pytest.mark.parametrize("driven", [False, True])
 def test_unconstrained_step_against_dense_numpy(young: float, driven: bool) -> None:
     """One backward Euler step of a deformed, moving body: A v = b by Voigt assembly and numpy.linalg.solve."""
-    scene = beam_scene((0.3, 0.2, 0.2), (3, 2, 2), young=young, poisson=0.45, damping=(3.0, 0.004), dt=0.01,
-                       gravity=[1.0, -2.0, -9.81], **({"driven": "base"} if driven else {}))
+    scene = beam_scene(
+        (0.3, 0.2, 0.2),
+        (3, 2, 2),
+        young=young,
+        poisson=0.45,
+        damping=(3.0, 0.004),
+        dt=0.01,
+        gravity=[1.0, -2.0, -9.81],
+        **({"driven": "base"} if driven else {}),
+    )
     sim = Simulator(scene)
     body = naive.Body.of(scene, sim.mesh)
     rng = np.random.default_rng(7)
@@ -174,8 +186,9 @@ def static_sag(scene: Scene) -> Array:
 def test_hanging_bar_stretches_by_its_own_weight() -> None:
     """Mean displacement of each section of a hanging bar, ν = 0: u(z) = ρ g / E (L z − z²/2), to 0.5 %."""
     length, young, g = 1.0, 1e6, 9.81
-    scene = beam_scene((length, 0.2, 0.2), (10, 2, 2), young=young, poisson=0.0, driven="base", dt=0.1,
-                       gravity=[g, 0.0, 0.0])
+    scene = beam_scene(
+        (length, 0.2, 0.2), (10, 2, 2), young=young, poisson=0.0, driven="base", dt=0.1, gravity=[g, 0.0, 0.0]
+    )
     sim = Simulator(scene)
     settle(sim, speed=1e-11, steps=400)
     z = sim.mesh.points[:, 0]
@@ -195,8 +208,15 @@ def test_cantilever_against_beam_theory() -> None:
     length, depth, young, poisson, g = 1.0, 0.125, 1e9, 0.3, 1.0
     sags = []
     for n in (2, 4, 8):
-        scene = beam_scene((length, depth, depth), (8 * n, n, n), young=young, poisson=poisson, driven="base", dt=0.1,
-                           gravity=[0.0, 0.0, -g])
+        scene = beam_scene(
+            (length, depth, depth),
+            (8 * n, n, n),
+            young=young,
+            poisson=poisson,
+            driven="base",
+            dt=0.1,
+            gravity=[0.0, 0.0, -g],
+        )
         u = static_sag(scene)
         points = np.array(scene.load_mesh().points)
         sags.append(-u[points[:, 0] == points[:, 0].max(), 2].mean())
@@ -221,8 +241,9 @@ def test_static_sag_against_scikit_fem(body: str) -> None:
 
     young, poisson, force = 1e7, 0.4, np.array([1.0, -3.0, 2.0]) * 1e-2
     if body == "beam":
-        scene = beam_scene((1.0, 0.2, 0.3), (10, 2, 3), young=young, poisson=poisson, driven="base", dt=0.1,
-                           gravity=list(force))
+        scene = beam_scene(
+            (1.0, 0.2, 0.3), (10, 2, 3), young=young, poisson=poisson, driven="base", dt=0.1, gravity=list(force)
+        )
     else:
         data = finger_scene().to_dict()
         del data["limits"], data["plane"], data["initial_pose"]

@@ -18,8 +18,14 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 def python(code: str, *arguments: str, **environment: str) -> str:
     """Standard output of a fresh interpreter."""
     path = os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=200,
-                          env=os.environ | {"PYTHONPATH": path} | environment, cwd=REPOSITORY / "tests")
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=200,
+        env=os.environ | {"PYTHONPATH": path} | environment,
+        cwd=REPOSITORY / "tests",
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -91,13 +97,27 @@ def test_uncompiled_kernels_give_the_same() -> None:
 def test_kernel_twin_tests_run_uncompiled() -> None:
     """The suite's own kernel tests pass with NUMBA_DISABLE_JIT=1."""
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-x", "test_linear_solver.py",
-         "test_strain_limits.py::test_values_along_the_axes_by_hand", "test_strain_limits.py::test_number_of_rows",
-         "test_strain_limits.py::test_gradients_are_those_of_perturbation_theory",
-         "test_kinematics.py::test_svd_of_degenerate_matrices", "test_kinematics.py::test_svd_of_reflections",
-         "test_elasticity.py::test_tangent_stiffness_is_the_derivative_of_the_forces",
-         "test_pgs.py::test_tangents_stay_in_the_disk_and_reduce_slip"],
-        cwd=REPOSITORY / "tests", capture_output=True, text=True, timeout=200,
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            "-x",
+            "test_linear_solver.py",
+            "test_strain_limits.py::test_values_along_the_axes_by_hand",
+            "test_strain_limits.py::test_number_of_rows",
+            "test_strain_limits.py::test_gradients_are_those_of_perturbation_theory",
+            "test_kinematics.py::test_svd_of_degenerate_matrices",
+            "test_kinematics.py::test_svd_of_reflections",
+            "test_elasticity.py::test_tangent_stiffness_is_the_derivative_of_the_forces",
+            "test_pgs.py::test_tangents_stay_in_the_disk_and_reduce_slip",
+        ],
+        cwd=REPOSITORY / "tests",
+        capture_output=True,
+        text=True,
+        timeout=200,
         env=os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(REPOSITORY)},
     )
     assert done.returncode == 0, done.stdout[-3000:]

@@ -131,8 +131,7 @@ DEFECTS = {
     "zero volume": ([*POINTS[:4], [0.5, 0.5, 0.0]], [*TETS[:1], [1, 2, 0, 4]], "1 zero-volume tet (1)"),
     "sliver": ([*POINTS[:4], [0.5, 0.5, -1e-9]], [*TETS[:1], [1, 2, 0, 4]], "1 zero-volume tet (1)"),
     "duplicate tet": (POINTS, [*TETS, [2, 0, 1, 3], [4, 3, 1, 2]], "2 duplicate tets (2, 3)"),
-    "duplicate node": ([*POINTS[:4], *POINTS[1:]], [[0, 1, 2, 3], [4, 5, 6, 7]],
-                       "3 duplicate nodes (4, 5, 6)"),
+    "duplicate node": ([*POINTS[:4], *POINTS[1:]], [[0, 1, 2, 3], [4, 5, 6, 7]], "3 duplicate nodes (4, 5, 6)"),
     "pieces": ([*POINTS, *FAR[:4]], [*TETS, [5, 6, 7, 8]], "2 disconnected pieces (2 tets, 1 tets)"),
     "unreferenced": ([*POINTS, [5, 5, 5], [6, 5, 5]], TETS, "2 unreferenced nodes (5, 6)"),
     "not finite": ([*POINTS[:4], [np.nan, 0, 0]], TETS, "1 non-finite point (4)"),
@@ -154,8 +153,12 @@ def test_each_defect_is_refused_by_name_and_count(name: str) -> None:
 def test_all_defects_come_in_one_message() -> None:
     """A mesh with several defects lists them all."""
     text = refused([*POINTS, [9, 9, 9]], [*TETS, [0, 1, 1, 4], [0, 1, 2, 99]], {"grip": [-1]})
-    for says in ("1 unreferenced node (5)", "1 repeated-node tet (2)", "1 index-out-of-range tet (3)",
-                 "node set 'grip': 1 out-of-range node (-1)"):
+    for says in (
+        "1 unreferenced node (5)",
+        "1 repeated-node tet (2)",
+        "1 index-out-of-range tet (3)",
+        "node set 'grip': 1 out-of-range node (-1)",
+    ):
         assert says in text
 
 
@@ -164,37 +167,46 @@ def test_only_the_first_few_indices_are_listed() -> None:
     assert "8 unreferenced nodes (5, 6, 7, 8, 9, …)" in refused([*POINTS, *(POINTS + 7.0), *FAR[:3]], TETS)
 
 
-@pytest.mark.parametrize(("axes", "says"), [
-    ([np.eye(3), 2.0 * np.eye(3)], "1 not-orthonormal axes triad (1)"),
-    ([np.eye(3), np.full((3, 3), np.nan)], "1 not-orthonormal axes triad (1)"),
-    ([-np.eye(3), np.eye(3)], "1 left-handed axes triad (0)"),
-    ([np.eye(3)], "axes: expected 9 numbers for each of 2 tets"),
-])
+@pytest.mark.parametrize(
+    ("axes", "says"),
+    [
+        ([np.eye(3), 2.0 * np.eye(3)], "1 not-orthonormal axes triad (1)"),
+        ([np.eye(3), np.full((3, 3), np.nan)], "1 not-orthonormal axes triad (1)"),
+        ([-np.eye(3), np.eye(3)], "1 left-handed axes triad (0)"),
+        ([np.eye(3)], "axes: expected 9 numbers for each of 2 tets"),
+    ],
+)
 def test_broken_axes_are_refused(axes: list[np.ndarray], says: str) -> None:
     """Axes must be right-handed and orthonormal, one triad for each tet."""
     assert says in refused(POINTS, TETS, axes=axes)
 
 
-@pytest.mark.parametrize(("points", "tets", "says"), [
-    (POINTS, [], "no tets"),
-    (POINTS, TETS[:, :3], "tets: expected shape (m, 4)"),
-    (POINTS[:, :2], TETS, "points: expected shape (m, 3)"),
-    (POINTS, TETS.astype(float), "tets: expected whole numbers"),
-])
+@pytest.mark.parametrize(
+    ("points", "tets", "says"),
+    [
+        (POINTS, [], "no tets"),
+        (POINTS, TETS[:, :3], "tets: expected shape (m, 4)"),
+        (POINTS[:, :2], TETS, "points: expected shape (m, 3)"),
+        (POINTS, TETS.astype(float), "tets: expected whole numbers"),
+    ],
+)
 def test_wrong_shapes_are_refused(points: np.ndarray, tets: np.ndarray, says: str) -> None:
     """Arrays of another shape or kind are refused before they are used."""
     assert says in refused(points, tets)
 
 
-@pytest.mark.parametrize(("name", "content", "says"), [
-    ("missing.vtu", None, "file not found"),
-    ("empty.vtu", b"", "empty file"),
-    ("foreign.vtu", b"not a mesh", "unreadable"),
-    ("foreign.msh", b"not a mesh", "unreadable"),
-    ("mesh.nonsense", b"not a mesh", "unreadable"),
-    ("only_text.vtk", b"# vtk DataFile Version 3.0\n", "unreadable"),
-    ("folder.vtu", "folder", "is a folder"),
-])
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("missing.vtu", None, "file not found"),
+        ("empty.vtu", b"", "empty file"),
+        ("foreign.vtu", b"not a mesh", "unreadable"),
+        ("foreign.msh", b"not a mesh", "unreadable"),
+        ("mesh.nonsense", b"not a mesh", "unreadable"),
+        ("only_text.vtk", b"# vtk DataFile Version 3.0\n", "unreadable"),
+        ("folder.vtu", "folder", "is a folder"),
+    ],
+)
 def test_unusable_files_are_refused_by_path(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str, content: bytes | str | None, says: str
 ) -> None:
@@ -221,10 +233,13 @@ def test_truncated_file_is_refused(tmp_path: Path) -> None:
             TetMesh.load(tmp_path / "cut.vtu")
 
 
-@pytest.mark.parametrize(("cells", "says"), [
-    ([("hexahedron", np.arange(8)[None])], "cells that are not 4-node tetrahedra: 1 hexahedron"),
-    ([("triangle", np.array([[0, 1, 2]]))], "no tets"),
-])
+@pytest.mark.parametrize(
+    ("cells", "says"),
+    [
+        ([("hexahedron", np.arange(8)[None])], "cells that are not 4-node tetrahedra: 1 hexahedron"),
+        ([("triangle", np.array([[0, 1, 2]]))], "no tets"),
+    ],
+)
 def test_files_without_tets_are_refused(tmp_path: Path, cells: list[Any], says: str) -> None:
     """Volume cells of another kind are named; a surface mesh has no tets."""
     cube = np.array(list(itertools.product((0.0, 1.0), repeat=3)))

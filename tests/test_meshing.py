@@ -31,9 +31,9 @@ def mesh_of(source: str | int) -> TetMesh:
     return finger(int(source))
 
 
-every_finger = pytest.mark.parametrize("source", [
-    SHIPPED, *(pytest.param(tets, marks=needs_gmsh) for tets in (347, 2_000, 10_000))
-])
+every_finger = pytest.mark.parametrize(
+    "source", [SHIPPED, *(pytest.param(tets, marks=needs_gmsh) for tets in (347, 2_000, 10_000))]
+)
 
 
 def faces_of(mesh: TetMesh) -> Counter[tuple[int, ...]]:
@@ -101,20 +101,25 @@ def test_beam_ends_are_node_sets() -> None:
     """`base` holds the nine nodes at x = 0, `tip` the nine at x = 1."""
     mesh = beam()
     assert {k: sorted(set(mesh.points[v, 0].tolist())) for k, v in mesh.node_sets.items()} == {
-        "base": [0.0], "tip": [1.0]}
+        "base": [0.0],
+        "tip": [1.0],
+    }
     assert {k: len(v) for k, v in mesh.node_sets.items()} == {"base": 9, "tip": 9}
 
 
-@pytest.mark.parametrize(("size", "cells", "says"), [
-    ((0.0, 1.0, 1.0), (1, 1, 1), "beam size"),
-    ((1.0, -1.0, 1.0), (1, 1, 1), "beam size"),
-    ((1.0, np.nan, 1.0), (1, 1, 1), "beam size"),
-    ((1.0, np.inf, 1.0), (1, 1, 1), "beam size"),
-    ((1.0, 1.0), (1, 1, 1), "beam size"),
-    ((1.0, 1.0, 1.0), (1, 0, 1), "beam cells"),
-    ((1.0, 1.0, 1.0), (1, 1.5, 1), "beam cells"),
-    ((1.0, 1.0, 1.0), (1, 1), "beam cells"),
-])
+@pytest.mark.parametrize(
+    ("size", "cells", "says"),
+    [
+        ((0.0, 1.0, 1.0), (1, 1, 1), "beam size"),
+        ((1.0, -1.0, 1.0), (1, 1, 1), "beam size"),
+        ((1.0, np.nan, 1.0), (1, 1, 1), "beam size"),
+        ((1.0, np.inf, 1.0), (1, 1, 1), "beam size"),
+        ((1.0, 1.0), (1, 1, 1), "beam size"),
+        ((1.0, 1.0, 1.0), (1, 0, 1), "beam cells"),
+        ((1.0, 1.0, 1.0), (1, 1.5, 1), "beam cells"),
+        ((1.0, 1.0, 1.0), (1, 1), "beam cells"),
+    ],
+)
 def test_impossible_beams_are_refused(size: tuple[float, ...], cells: tuple[int, ...], says: str) -> None:
     """Three positive lengths and three whole counts, nothing else."""
     with pytest.raises(MeshError, match=says):

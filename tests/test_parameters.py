@@ -110,9 +110,7 @@ def client(tmp_path_factory):
     folder = tmp_path_factory.mktemp("parameters")
     overrides = ("-p", "plane.friction:=0.25", "-p", "solver.tolerance:=0.01", "-p", "gravity:=[0,0,-1]")
     scene = write_block(folder)
-    with NodeProcess(
-        folder / "log", "-p", f"scene:={scene}", *overrides, "-p", "plane.frictoin:=0.1"
-    ) as node:
+    with NodeProcess(folder / "log", "-p", f"scene:={scene}", *overrides, "-p", "plane.frictoin:=0.1") as node:
         node.wait_for("ready after")
         with Client(node.domain) as client:
             client.log = node

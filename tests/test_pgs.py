@@ -78,8 +78,9 @@ def stepped(sim: Simulator, command: Pose | None) -> Problem:
         parts.append(chosen(strain, np.minimum(strain.C, ahead) <= LIMIT_MARGIN * rooms(body, x, scene, system.free)))
     forces = np.abs(sim._state.warm_limit)
     lam = {t: np.sort(forces[t][forces[t] > 0.0]) for t in range(len(body.tets)) if forces[t].any()}
-    return Problem(scene, body, system, naive.joined(*parts), h, x, sim.velocities.copy(), lam,
-                   sim.contact_forces.copy(), out)
+    return Problem(
+        scene, body, system, naive.joined(*parts), h, x, sim.velocities.copy(), lam, sim.contact_forces.copy(), out
+    )
 
 
 def rooms(body: naive.Body, x: Array, scene: Scene, free: Any) -> Array:
@@ -120,8 +121,9 @@ def solve_qp(problem: Problem) -> tuple[Array, Array]:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
-    solver = clarabel.DefaultSolver(P, q, scipy.sparse.csc_matrix(-G), problem.constant / size / scale,
-                                    [clarabel.NonnegativeConeT(m)], settings)
+    solver = clarabel.DefaultSolver(
+        P, q, scipy.sparse.csc_matrix(-G), problem.constant / size / scale, [clarabel.NonnegativeConeT(m)], settings
+    )
     solution = solver.solve()
     assert "Solved" in str(solution.status), solution.status
     v = np.linalg.solve(L.T, scale * np.array(solution.x)[:n])
@@ -179,9 +181,18 @@ LIMITS = {
 @pytest.mark.parametrize("name", LIMITS)
 def test_limits_of_a_shaken_beam_against_clarabel(name: str, stiffness: float | None) -> None:
     """Strain limits, rigid and compliant, on a soft hanging beam held at its base, jerked along and turned."""
-    scene = beam_scene((0.4, 0.2, 0.2), (3, 1, 1), young=5e3, poisson=0.3, damping=(0.0, 0.01), dt=0.005,
-                       gravity=[0, 0, -9.81], driven="base", limits=LIMITS[name] | {"stiffness": stiffness},
-                       solver=PRECISE)
+    scene = beam_scene(
+        (0.4, 0.2, 0.2),
+        (3, 1, 1),
+        young=5e3,
+        poisson=0.3,
+        damping=(0.0, 0.01),
+        dt=0.005,
+        gravity=[0, 0, -9.81],
+        driven="base",
+        limits=LIMITS[name] | {"stiffness": stiffness},
+        solver=PRECISE,
+    )
     sim = Simulator(scene)
     limited = 0
     for k in range(1, 25):
@@ -196,9 +207,16 @@ def test_limits_of_a_shaken_beam_against_clarabel(name: str, stiffness: float | 
 @pytest.mark.parametrize("stiffness", [None, 1000.0])
 def test_frictionless_contact_against_clarabel(stiffness: float | None) -> None:
     """A soft block falling on its tilted plane: normal forces node by node."""
-    scene = beam_scene((0.2, 0.2, 0.1), (2, 2, 1), young=2e4, damping=(0.0, 0.002), dt=0.002, gravity=[0.5, 0.2, -9.81],
-                       plane={"point": [0, 0, -0.001], "normal": [0.02, 0.01, 1.0], "friction": 0.0,
-                              "stiffness": stiffness}, solver=PRECISE)
+    scene = beam_scene(
+        (0.2, 0.2, 0.1),
+        (2, 2, 1),
+        young=2e4,
+        damping=(0.0, 0.002),
+        dt=0.002,
+        gravity=[0.5, 0.2, -9.81],
+        plane={"point": [0, 0, -0.001], "normal": [0.02, 0.01, 1.0], "friction": 0.0, "stiffness": stiffness},
+        solver=PRECISE,
+    )
     sim = Simulator(scene)
     touched = 0
     for _ in range(60):
@@ -213,10 +231,19 @@ def test_frictionless_contact_against_clarabel(stiffness: float | None) -> None:
 @pytest.mark.parametrize("name", LIMITS)
 def test_press_with_limits_against_clarabel(name: str) -> None:
     """Frictionless contact and compliant limits together: a driven block pressed on the plane, many tets limited."""
-    scene = beam_scene((0.04, 0.04, 0.02), (2, 2, 1), young=2e4, poisson=0.45, damping=(0.0, 0.002), dt=0.001,
-                       gravity=[0, 0, -9.81], driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]},
-                       plane={"point": [0, 0, 0], "friction": 0.0}, limits=LIMITS[name] | {"stiffness": 30.0},
-                       solver=PRECISE)
+    scene = beam_scene(
+        (0.04, 0.04, 0.02),
+        (2, 2, 1),
+        young=2e4,
+        poisson=0.45,
+        damping=(0.0, 0.002),
+        dt=0.001,
+        gravity=[0, 0, -9.81],
+        driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]},
+        plane={"point": [0, 0, 0], "friction": 0.0},
+        limits=LIMITS[name] | {"stiffness": 30.0},
+        solver=PRECISE,
+    )
     sim = Simulator(scene)
     run(sim, 4, pose((0, 0, 1e-4)))
     rows = 0
@@ -230,10 +257,19 @@ def test_press_with_limits_against_clarabel(name: str) -> None:
 
 def test_contact_and_limits_with_friction_against_a_dense_twin() -> None:
     """The whole complementarity problem with Coulomb's cone: dense W = h² J A⁻¹ Jᵀ, Gauss-Seidel to the last digit."""
-    scene = beam_scene((0.04, 0.04, 0.02), (2, 2, 1), young=2e4, poisson=0.45, damping=(0.0, 0.002), dt=0.001,
-                       gravity=[0, 0, -9.81], driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]},
-                       plane={"point": [0, 0, 0], "friction": 0.4}, limits=LIMITS["isotropic"] | {"stiffness": 30.0},
-                       solver=PRECISE)
+    scene = beam_scene(
+        (0.04, 0.04, 0.02),
+        (2, 2, 1),
+        young=2e4,
+        poisson=0.45,
+        damping=(0.0, 0.002),
+        dt=0.001,
+        gravity=[0, 0, -9.81],
+        driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]},
+        plane={"point": [0, 0, 0], "friction": 0.4},
+        limits=LIMITS["isotropic"] | {"stiffness": 30.0},
+        solver=PRECISE,
+    )
     sim = Simulator(scene)
     run(sim, 4, pose((0, 0, 1e-4)))
     for k in range(1, 31):
@@ -268,10 +304,17 @@ def test_a_looser_tolerance_stays_within_its_promise() -> None:
     """The residual reported is at most the tolerance, and the wrench off by no more than a few times it."""
     wrenches = []
     for tolerance in (1e-2, 1e-3, 1e-9):
-        scene = beam_scene((0.04, 0.04, 0.02), (4, 4, 2), young=2e4, poisson=0.45, damping=(0.0, 0.002),
-                           driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]}, plane={"point": [0, 0, 0], "friction": 0.4},
-                           limits=LIMITS["hyperbolic"] | {"stiffness": 30.0},
-                           solver={"tolerance": tolerance, "max_iterations": 20_000})
+        scene = beam_scene(
+            (0.04, 0.04, 0.02),
+            (4, 4, 2),
+            young=2e4,
+            poisson=0.45,
+            damping=(0.0, 0.002),
+            driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]},
+            plane={"point": [0, 0, 0], "friction": 0.4},
+            limits=LIMITS["hyperbolic"] | {"stiffness": 30.0},
+            solver={"tolerance": tolerance, "max_iterations": 20_000},
+        )
         sim = Simulator(scene)
         for k in range(1, 41):
             out = sim.step(pose((1e-5 * k, 0.0, -2.5e-5 * k)))
@@ -307,7 +350,13 @@ def test_tangents_stay_in_the_disk_and_reduce_slip(seed: int) -> None:
     for _ in range(500):  # repeated, it ends at the minimum over the disk
         lam, slip = got, slip + W @ (got - lam)
         got = np.array(pgs.tangents(bound, *lam, *slip, W[0, 0], W[1, 1], W[0, 1]))
-    best = min((loss(r * bound * np.array([np.cos(a), np.sin(a)])) for a in np.linspace(0, 2 * np.pi, 721)
-                for r in (1.0, 0.99)), default=0.0)
+    best = min(
+        (
+            loss(r * bound * np.array([np.cos(a), np.sin(a)]))
+            for a in np.linspace(0, 2 * np.pi, 721)
+            for r in (1.0, 0.99)
+        ),
+        default=0.0,
+    )
     assert loss(got) <= best + 1e-9
     assert tuple(pgs.tangents(0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0)) == (0.0, 0.0)

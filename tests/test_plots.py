@@ -168,5 +168,3 @@ def diagnostics(values):
     status = new["diagnostic_msgs/msg/DiagnosticStatus"](0, "finger", "ok", "finger_sim", pairs)
     header = new["std_msgs/msg/Header"](new["builtin_interfaces/msg/Time"](0, 0), "")
     return bytes(typestore().serialize_cdr(new[DIAGNOSTICS](header, [status]), DIAGNOSTICS))
-
-

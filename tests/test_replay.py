@@ -46,9 +46,7 @@ class FakeSimulator:
         self.commands: list[Pose] = []
         self.resets: list[Pose] = []
         tets = np.array([[0, 1, 2, 3]])
-        self.mesh = SimpleNamespace(
-            points=np.vstack([np.zeros(3), np.eye(3)]), tets=tets, surface=tets[:, :3]
-        )
+        self.mesh = SimpleNamespace(points=np.vstack([np.zeros(3), np.eye(3)]), tets=tets, surface=tets[:, :3])
         self.strain_ratio = np.array([0.75])
         self.contact_forces = np.arange(12.0).reshape(4, 3)
 
@@ -78,9 +76,7 @@ def commands(path: Path, receipts: list[int]) -> Path:
     """A bag of commands, received so many ns after START; x counts them."""
     n = len(receipts)
     position = np.stack([np.arange(n), np.zeros(n), np.zeros(n)], axis=1)
-    return write_commands(
-        path, [START + r for r in receipts], position, np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
-    )
+    return write_commands(path, [START + r for r in receipts], position, np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)))
 
 
 def test_the_newest_command_received_holds(tmp_path: Path) -> None:
@@ -228,9 +224,7 @@ def test_bit_identical_twice_and_in_a_fresh_process(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": folders}
     command = [sys.executable, "-c", RUN, str(bag), str(tmp_path / "c" / "out")]
     subprocess.run(command, check=True, env=environment)
-    digests = {
-        hashlib.sha256((tmp_path / name / "out" / "out_0.mcap").read_bytes()).hexdigest() for name in "abc"
-    }
+    digests = {hashlib.sha256((tmp_path / name / "out" / "out_0.mcap").read_bytes()).hexdigest() for name in "abc"}
     assert len(digests) == 1
 
 
@@ -242,9 +236,7 @@ def test_wrench_by_a_lever_arm() -> None:
     about_finger = np.concatenate([force, np.cross(at - pose.position, force)])
     np.testing.assert_allclose(about_finger, [0, 0, 10, 0, -30, 0])
     np.testing.assert_array_equal(express_wrench(about_finger, pose, "world_aligned"), about_finger)
-    np.testing.assert_allclose(
-        express_wrench(about_finger, pose, "finger"), [0, 0, 10, -30, 0, 0], atol=1e-12
-    )
+    np.testing.assert_allclose(express_wrench(about_finger, pose, "finger"), [0, 0, 10, -30, 0, 0], atol=1e-12)
     sideways = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # through the finger's origin, 2 m above the world's
     np.testing.assert_allclose(express_wrench(sideways, pose, "world"), [1, 0, 0, 0, 2, 0], atol=1e-15)
     assert wrench_frame_id("world_aligned", "tip") == "tip_world_aligned"

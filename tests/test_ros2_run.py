@@ -53,9 +53,7 @@ def test_scenes_and_bags_are_shared(ament):
 
 def test_the_executable_is_where_ros2_run_looks(ament):
     """In lib/<package> of the prefix, and executable."""
-    assert os.access(
-        Path(ament.get_package_prefix("finger_sim")) / "lib" / "finger_sim" / "finger_node", os.X_OK
-    )
+    assert os.access(Path(ament.get_package_prefix("finger_sim")) / "lib" / "finger_sim" / "finger_node", os.X_OK)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

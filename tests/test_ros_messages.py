@@ -49,9 +49,7 @@ def test_a_pose_arrives_as_the_message(frame_id):
     message = stamped(PoseStamped, frame_id)
     p, q = message.pose.position, message.pose.orientation
     p.x, p.y, p.z, q.x, q.y, q.z, q.w = (float(v) for v in values)
-    assert messages.pose_template(frame_id).fill(STAMP, messages.doubles(values)) == serialize_message(
-        message
-    )
+    assert messages.pose_template(frame_id).fill(STAMP, messages.doubles(values)) == serialize_message(message)
 
 
 def test_cloud_arrives_with_its_fields():
@@ -64,9 +62,7 @@ def test_cloud_arrives_with_its_fields():
         RNG.random(n),
     )
     packed = pack_points(x, rest, force, strain)
-    cloud = deserialize_message(
-        messages.cloud_template("world", n).fill(STAMP, packed.tobytes()), PointCloud2
-    )
+    cloud = deserialize_message(messages.cloud_template("world", n).fill(STAMP, packed.tobytes()), PointCloud2)
     assert all(field.datatype == PointField.FLOAT32 and field.count == 1 for field in cloud.fields)
     names, offsets = [f.name for f in cloud.fields], [f.offset for f in cloud.fields]
     layout = {

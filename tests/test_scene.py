@@ -24,13 +24,22 @@ FULL: dict[str, Any] = {
     "mesh": {"beam": {"size": [0.4, 0.2, 0.2], "cells": [2, 1, 1]}},
     "driven": "base",
     "material": {"density": 900.0, "young": 2e4, "poisson": 0.3, "damping": {"mass": 0.5, "stiffness": 0.01}},
-    "limits": {"projection": "hyperbolic", "stretch": [1.1, None, 1.3], "compress": [None, 0.8, 0.9],
-               "stiffness": None},
+    "limits": {
+        "projection": "hyperbolic",
+        "stretch": [1.1, None, 1.3],
+        "compress": [None, 0.8, 0.9],
+        "stiffness": None,
+    },
     "plane": {"point": [0, 0, -1], "normal": [0, 0, 2], "friction": 0.7, "stiffness": 50.0},
     "gravity": [0, 0, -1],
     "solver": {"method": "pgs", "tolerance": 1e-4, "max_iterations": 50, "relinearizations": 0},
-    "coupling": {"type": "kinematic", "max_speed": 1.0, "max_angular_speed": 2.0, "force_limit": 3.0,
-                 "torque_limit": 4.0},
+    "coupling": {
+        "type": "kinematic",
+        "max_speed": 1.0,
+        "max_angular_speed": 2.0,
+        "force_limit": 3.0,
+        "torque_limit": 4.0,
+    },
     "dt": 0.002,
     "substeps": 2,
     "initial_pose": {"position": [1, 2, 3], "orientation": [0, 0, 1, 1]},
@@ -71,8 +80,12 @@ def wrapped(spec: Field, number: Any) -> Any:
     """A value of the key's kind with `number` in it, fine in its other places."""
     good = min(max(1.0, spec.low), spec.high)
     good = int(good) if spec.kind in ("cells", "int") else good
-    return {"vec3": [good, number, good], "cells": [good, good, number], "limit3": [number, None, None],
-            "quaternion": [0.0, number, 0.0, 1.0]}.get(spec.kind, number)
+    return {
+        "vec3": [good, number, good],
+        "cells": [good, good, number],
+        "limit3": [number, None, None],
+        "quaternion": [0.0, number, 0.0, 1.0],
+    }.get(spec.kind, number)
 
 
 def out_of_range() -> Iterator[Any]:
@@ -83,8 +96,9 @@ def out_of_range() -> Iterator[Any]:
         for name, bound, step in (("low", spec.low, -1), ("high", spec.high, +1)):
             if math.isfinite(bound):
                 beyond = int(bound) + step if whole else np.nextafter(bound, step * math.inf)
-                yield pytest.param(key, wrapped(spec, beyond), wrapped(spec, int(bound) if whole else bound),
-                                   id=f"{key}-{name}")
+                yield pytest.param(
+                    key, wrapped(spec, beyond), wrapped(spec, int(bound) if whole else bound), id=f"{key}-{name}"
+                )
 
 
 @pytest.mark.parametrize(("key", "beyond", "bound"), list(out_of_range()))
@@ -142,8 +156,10 @@ def test_whole_numbers_are_whole() -> None:
     assert refusal(changed("mesh.beam.cells", [2, 1.5, 1])).key == "mesh.beam.cells"
 
 
-@pytest.mark.parametrize("block", ["", "mesh", "mesh.beam", "material", "material.damping", "limits", "plane", "solver",
-                                   "coupling", "initial_pose"])
+@pytest.mark.parametrize(
+    "block",
+    ["", "mesh", "mesh.beam", "material", "material.damping", "limits", "plane", "solver", "coupling", "initial_pose"],
+)
 def test_unknown_keys_and_wrong_blocks(block: str) -> None:
     """A key that no block knows is an error by its path, with the known ones; a block is not a number or a list."""
     prefix = f"{block}." if block else ""
@@ -232,8 +248,14 @@ def test_parameters_are_every_value_of_the_scene() -> None:
     assert names["material.young"].value == 2e4
     assert names["plane.friction"].spec.high == KEYS["plane.friction"].high
     live = {name for name, p in names.items() if p.spec.live}
-    assert {"plane.friction", "plane.point", "plane.normal", "solver.tolerance", "solver.max_iterations",
-            "coupling.force_limit"} <= live
+    assert {
+        "plane.friction",
+        "plane.point",
+        "plane.normal",
+        "solver.tolerance",
+        "solver.max_iterations",
+        "coupling.force_limit",
+    } <= live
     assert not live & {"dt", "material.young", "mesh.file", "limits.stretch"}
     bare = {p.name for p in Scene.from_dict({"mesh": {"beam": {}}}).parameters()}
     assert not {n for n in bare if n.startswith(("plane.", "limits."))}
@@ -270,16 +292,28 @@ def test_numbers_in_scientific_notation(tmp_path: Path, number: str) -> None:
 
 def test_a_key_given_twice_is_an_error(tmp_path: Path) -> None:
     """At the top and inside a block; the key and its line are named."""
-    for text, key, line in (("mesh: {beam: {}}\ndt: 0.001\ndt: 0.002\n", "dt", 3),
-                            ("mesh: {beam: {}}\nplane:\n  friction: 1\n  friction: 0\n", "friction", 4)):
+    for text, key, line in (
+        ("mesh: {beam: {}}\ndt: 0.001\ndt: 0.002\n", "dt", 3),
+        ("mesh: {beam: {}}\nplane:\n  friction: 1\n  friction: 0\n", "friction", 4),
+    ):
         with pytest.raises(SceneError) as error:
             Scene.load(written(tmp_path, text))
         assert error.value.key == key
         assert f"line {line}" in str(error.value)
 
 
-@pytest.mark.parametrize("text", ["", "- 1\n- 2\n", "just text", "mesh: [unclosed", "mesh: {beam: {}}\n\tdt: 1",
-                                  "a: &x\n b: *y", "mesh: !!python/object:os.system {}"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "- 1\n- 2\n",
+        "just text",
+        "mesh: [unclosed",
+        "mesh: {beam: {}}\n\tdt: 1",
+        "a: &x\n b: *y",
+        "mesh: !!python/object:os.system {}",
+    ],
+)
 def test_files_that_are_no_scene(tmp_path: Path, text: str) -> None:
     """Empty, listed, broken or dangerous YAML: a SceneError that names the file."""
     path = written(tmp_path, text)
@@ -367,17 +401,36 @@ def test_driven_sets_and_boxes_select_nodes() -> None:
     assert Scene.from_dict(FULL | {"driven": None}).driven_nodes(mesh).size == 0
 
 
-@pytest.mark.parametrize("driven", [3, True, [1, 2], {}, {"box": [[0, 0, 0]]}, {"box": [[0, 0, 0], [1, 1]]},
-                                    {"box": [[1, 0, 0], [0, 1, 1]]}, {"box": [[0, 0, 0], [1, 1, math.nan]]},
-                                    {"box": 3}, {"box": [[0, 0, 0], [1, 1, 1]], "set": "bone"}, {"sphere": 1}], ids=str)
+@pytest.mark.parametrize(
+    "driven",
+    [
+        3,
+        True,
+        [1, 2],
+        {},
+        {"box": [[0, 0, 0]]},
+        {"box": [[0, 0, 0], [1, 1]]},
+        {"box": [[1, 0, 0], [0, 1, 1]]},
+        {"box": [[0, 0, 0], [1, 1, math.nan]]},
+        {"box": 3},
+        {"box": [[0, 0, 0], [1, 1, 1]], "set": "bone"},
+        {"sphere": 1},
+    ],
+    ids=str,
+)
 def test_driven_that_cannot_be(driven: Any) -> None:
     """Anything but a name or a box of two ordered corners is refused at `driven`."""
     assert refusal(FULL | {"driven": driven}).key.startswith("driven")
 
 
-@pytest.mark.parametrize(("driven", "says"), [
-    ("nail", "base"), ({"box": [[5, 5, 5], [6, 6, 6]]}, "no node"), ({"box": [[-9, -9, -9], [9, 9, 9]]}, "all"),
-])
+@pytest.mark.parametrize(
+    ("driven", "says"),
+    [
+        ("nail", "base"),
+        ({"box": [[5, 5, 5], [6, 6, 6]]}, "no node"),
+        ({"box": [[-9, -9, -9], [9, 9, 9]]}, "all"),
+    ],
+)
 def test_driven_that_selects_nothing_or_all(driven: Any, says: str) -> None:
     """An unknown set lists the mesh's; an empty selection and one of every node say so, when the mesh is known."""
     with pytest.raises(MeshError, match="driven") as error:
@@ -387,8 +440,9 @@ def test_driven_that_selects_nothing_or_all(driven: Any, says: str) -> None:
 
 def test_numpy_numbers_are_numbers() -> None:
     """Scripts give arrays and NumPy scalars; they are kept as plain numbers."""
-    scene = Scene.from_dict(changed("gravity", np.array([0.0, 1.0, 2.0])) | {"dt": np.float64(0.002),
-                                                                           "substeps": np.int64(3)})
+    scene = Scene.from_dict(
+        changed("gravity", np.array([0.0, 1.0, 2.0])) | {"dt": np.float64(0.002), "substeps": np.int64(3)}
+    )
     assert scene.gravity == (0.0, 1.0, 2.0)
     assert (type(scene.dt), type(scene.substeps)) == (float, int)
     assert yaml.safe_load(yaml.safe_dump(scene.to_dict()))["gravity"] == [0.0, 1.0, 2.0]

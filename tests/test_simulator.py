@@ -22,9 +22,22 @@ SOFT: dict[str, Any] = {"projection": "hyperbolic", "stretch": [1.05, 1.25, 1.02
 
 def pressed_block(**blocks: Any) -> Scene:
     """A small driven block over a plane at z = 0: everything in it, and quick."""
-    return beam_scene((0.04, 0.04, 0.02), (2, 2, 1), young=2e4, poisson=0.45, damping=(0.0, 0.002),
-                      **({"driven": {"box": [[-1, -1, 0.0199], [1, 1, 1]]}, "limits": SOFT,
-                          "plane": {"point": [0, 0, 0], "friction": 0.5}, "gravity": [0, 0, -9.81]} | blocks))
+    return beam_scene(
+        (0.04, 0.04, 0.02),
+        (2, 2, 1),
+        young=2e4,
+        poisson=0.45,
+        damping=(0.0, 0.002),
+        **(
+            {
+                "driven": {"box": [[-1, -1, 0.0199], [1, 1, 1]]},
+                "limits": SOFT,
+                "plane": {"point": [0, 0, 0], "friction": 0.5},
+                "gravity": [0, 0, -9.81],
+            }
+            | blocks
+        ),
+    )
 
 
 def stroke(k: int) -> Pose:
@@ -33,8 +46,13 @@ def stroke(k: int) -> Pose:
 
 
 def fingerprint(sim: Simulator, out: StepResult) -> list[Any]:
-    return [sim.positions.tobytes(), sim.velocities.tobytes(), sim.contact_forces.tobytes(), sim.strain_ratio.tobytes(),
-            *(v.tobytes() if isinstance(v, np.ndarray) else v for v in dataclasses.astuple(out))]
+    return [
+        sim.positions.tobytes(),
+        sim.velocities.tobytes(),
+        sim.contact_forces.tobytes(),
+        sim.strain_ratio.tobytes(),
+        *(v.tobytes() if isinstance(v, np.ndarray) else v for v in dataclasses.astuple(out)),
+    ]
 
 
 def contact_height(sim: Simulator, turn: Rotation = FLAT) -> float:
@@ -137,9 +155,15 @@ def test_quaternions_of_any_length_are_normalised() -> None:
         assert math.hypot(*out.pose.orientation) == pytest.approx(1.0, abs=1e-15)
 
 
-BAD = [((math.nan, 0, 0), (0, 0, 0, 1)), ((0, math.inf, 0), (0, 0, 0, 1)), ((0, 0, 2e4), (0, 0, 0, 1)),
-       ((0, 0, 0), (0, 0, 0, 0)), ((0, 0, 0), (0, math.nan, 0, 1)), ((0, 0, 0), (0, math.inf, 0, 1)),
-       ((0, 0, 0), (0, 0, 1e-12, 0))]
+BAD = [
+    ((math.nan, 0, 0), (0, 0, 0, 1)),
+    ((0, math.inf, 0), (0, 0, 0, 1)),
+    ((0, 0, 2e4), (0, 0, 0, 1)),
+    ((0, 0, 0), (0, 0, 0, 0)),
+    ((0, 0, 0), (0, math.nan, 0, 1)),
+    ((0, 0, 0), (0, math.inf, 0, 1)),
+    ((0, 0, 0), (0, 0, 1e-12, 0)),
+]
 
 
 @pytest.mark.parametrize(("position", "orientation"), BAD, ids=str)
@@ -162,8 +186,11 @@ def test_bad_states_are_refused_and_change_nothing(bad: str) -> None:
     sim, undisturbed = Simulator(pressed_block()), Simulator(pressed_block())
     run(sim, 5, stroke(3))
     run(undisturbed, 5, stroke(3))
-    wrong = {"shape": np.zeros((3, 3)), "nan": np.full(sim.positions.shape, np.nan),
-             "inf": np.full(sim.positions.shape, np.inf)}[bad]
+    wrong = {
+        "shape": np.zeros((3, 3)),
+        "nan": np.full(sim.positions.shape, np.nan),
+        "inf": np.full(sim.positions.shape, np.inf),
+    }[bad]
     other = sim.positions + 1.0
     with pytest.raises(SceneError, match="velocities"):
         sim.set_state(other, wrong)
@@ -372,8 +399,14 @@ def test_inverted() -> None:
 
 def test_row_limit() -> None:
     """More rows than the arrays hold: the step is made with those that fit, and says ROW_LIMIT."""
-    scene = beam_scene((1.0, 0.4, 0.4), (12, 5, 5), young=1e4, dt=1e-3, solver={"max_iterations": 2},
-                       limits={"projection": "hyperbolic", "stretch": 1.0, "compress": 1.0, "stiffness": 10.0})
+    scene = beam_scene(
+        (1.0, 0.4, 0.4),
+        (12, 5, 5),
+        young=1e4,
+        dt=1e-3,
+        solver={"max_iterations": 2},
+        limits={"projection": "hyperbolic", "stretch": 1.0, "compress": 1.0, "stiffness": 10.0},
+    )
     sim = Simulator(scene)
     x = sim.mesh.points * np.array([1.1, 0.9, 1.05])
     sim.set_state(x, np.zeros_like(x))
@@ -384,8 +417,12 @@ def test_row_limit() -> None:
 
 def test_locked() -> None:
     """Tight compliant limits all at work on one tetrahedron: LOCKED."""
-    scene = beam_scene((0.2, 0.2, 0.2), (1, 1, 1), young=1e4,
-                       limits={"projection": "hyperbolic", "stretch": 1.001, "compress": 0.999, "stiffness": 1.0})
+    scene = beam_scene(
+        (0.2, 0.2, 0.2),
+        (1, 1, 1),
+        young=1e4,
+        limits={"projection": "hyperbolic", "stretch": 1.001, "compress": 0.999, "stiffness": 1.0},
+    )
     sim = Simulator(scene)
     shear = np.eye(3) + 0.2 * np.random.default_rng(1).standard_normal((3, 3))
     x = sim.mesh.points @ shear
@@ -416,24 +453,35 @@ def test_friction_changes_while_running() -> None:
 
 def test_applied_values_are_those_of_a_scene_made_with_them() -> None:
     """After apply, a step is bit-identical to that of a simulator built with the values."""
-    values = {"plane.friction": 0.1, "plane.point": [0.0, 0.0, 1e-4], "plane.normal": [0.01, 0.0, 1.0],
-              "solver.tolerance": 1e-6, "solver.max_iterations": 77, "coupling.force_limit": 0.1,
-              "coupling.torque_limit": 1e-4, "coupling.max_speed": 0.02}
+    values = {
+        "plane.friction": 0.1,
+        "plane.point": [0.0, 0.0, 1e-4],
+        "plane.normal": [0.01, 0.0, 1.0],
+        "solver.tolerance": 1e-6,
+        "solver.max_iterations": 77,
+        "coupling.force_limit": 0.1,
+        "coupling.torque_limit": 1e-4,
+        "coupling.max_speed": 0.02,
+    }
     applied, built = Simulator(pressed_block()), Simulator(pressed_block().with_values(values))
     applied.apply(values)
     for k in range(30):
         assert fingerprint(applied, applied.step(stroke(k))) == fingerprint(built, built.step(stroke(k)))
 
 
-@pytest.mark.parametrize(("values", "key"), [
-    ({"plane.friction": 0.1, "material.young": 1e5}, "material.young"),
-    ({"plane.friction": 0.1, "plane.frictoin": 1.0}, "plane.frictoin"),
-    ({"plane.friction": -0.1}, "plane.friction"),
-    ({"plane.friction": 0.1, "solver.tolerance": 5.0}, "solver.tolerance"),
-    ({"plane.friction": 0.1, "plane.normal": [0, 0, 0]}, "plane.normal"),
-    ({"plane.friction": math.nan}, "plane.friction"),
-    ({"dt": 0.01}, "dt"),
-], ids=str)
+@pytest.mark.parametrize(
+    ("values", "key"),
+    [
+        ({"plane.friction": 0.1, "material.young": 1e5}, "material.young"),
+        ({"plane.friction": 0.1, "plane.frictoin": 1.0}, "plane.frictoin"),
+        ({"plane.friction": -0.1}, "plane.friction"),
+        ({"plane.friction": 0.1, "solver.tolerance": 5.0}, "solver.tolerance"),
+        ({"plane.friction": 0.1, "plane.normal": [0, 0, 0]}, "plane.normal"),
+        ({"plane.friction": math.nan}, "plane.friction"),
+        ({"dt": 0.01}, "dt"),
+    ],
+    ids=str,
+)
 def test_refused_values_change_nothing(values: dict[str, Any], key: str) -> None:
     """One value that is not live, unknown or out of range: none of them is taken."""
     sim, untouched = Simulator(pressed_block()), Simulator(pressed_block())

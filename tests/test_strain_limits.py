@@ -66,10 +66,14 @@ def test_values_are_equations_9_to_12(limits: Limits, seed: int) -> None:
     assert gradients.shape == (len(C), 3, 3)
 
 
-@pytest.mark.parametrize(("F", "expected"), [
-    (np.diag([1.1, 0.8, 1.0]), [0.05 - 0.1, 0.25, 0.02, 0.05, 0.25 - 0.2, 0.02, 0.05, 0.25, 0.02]),
-    (np.eye(3), [0.05, 0.25, 0.02] * 3),
-], ids=["stretched", "rest"])
+@pytest.mark.parametrize(
+    ("F", "expected"),
+    [
+        (np.diag([1.1, 0.8, 1.0]), [0.05 - 0.1, 0.25, 0.02, 0.05, 0.25 - 0.2, 0.02, 0.05, 0.25, 0.02]),
+        (np.eye(3), [0.05, 0.25, 0.02] * 3),
+    ],
+    ids=["stretched", "rest"],
+)
 def test_values_along_the_axes_by_hand(F: Array, expected: list[float]) -> None:
     """With V = I, axis j bounds s_j alone, and the whole room of the other rows is left."""
     C, _ = evaluate(F, PAPER)
@@ -214,8 +218,14 @@ def ratios(sim: Simulator) -> Array:
     return np.array(worst)
 
 
-LIMITED: dict[str, Any] = {"limits": {"projection": "hyperbolic", "stretch": [1.05, 1.25, 1.02],
-                                      "compress": [0.95, 0.75, 0.98], "stiffness": 100.0}}
+LIMITED: dict[str, Any] = {
+    "limits": {
+        "projection": "hyperbolic",
+        "stretch": [1.05, 1.25, 1.02],
+        "compress": [0.95, 0.75, 0.98],
+        "stiffness": 100.0,
+    }
+}
 
 
 @pytest.mark.parametrize("index", range(6))
@@ -271,8 +281,18 @@ def test_compliant_limits_approach_rigid_ones() -> None:
     overshoot = []
     for stiffness in (3.0, 30.0, 300.0):
         limits = {"projection": "isotropic", "stretch": 1.04, "compress": 0.96, "stiffness": stiffness}
-        sim = Simulator(beam_scene((1.0, 0.2, 0.2), (5, 1, 1), young=1e4, dt=0.01, limits=limits, driven="base",
-                                   gravity=[9.81, 0, 0], damping=(0.0, 0.05)))
+        sim = Simulator(
+            beam_scene(
+                (1.0, 0.2, 0.2),
+                (5, 1, 1),
+                young=1e4,
+                dt=0.01,
+                limits=limits,
+                driven="base",
+                gravity=[9.81, 0, 0],
+                damping=(0.0, 0.05),
+            )
+        )
         overshoot.append(run(sim, 300).max_strain_ratio - 1.0)
     assert overshoot[0] > 0.1
     assert overshoot[1] < overshoot[0] / 3.0
@@ -281,12 +301,24 @@ def test_compliant_limits_approach_rigid_ones() -> None:
 
 def test_a_free_axis_stretches_and_a_limited_one_does_not() -> None:
     """Limits on the axes across leave a hanging beam its length; limits on the length leave it its breadth."""
+
     def length_at_rest(stretch: list[float | None]) -> float:
         limits = {"projection": "hyperbolic", "stretch": stretch, "compress": [None, None, None], "stiffness": None}
-        sim = Simulator(beam_scene((1.0, 0.2, 0.2), (5, 1, 1), young=1e4, dt=0.01, limits=limits, driven="base",
-                                   gravity=[9.81, 0, 0], damping=(0.0, 0.05)))
+        sim = Simulator(
+            beam_scene(
+                (1.0, 0.2, 0.2),
+                (5, 1, 1),
+                young=1e4,
+                dt=0.01,
+                limits=limits,
+                driven="base",
+                gravity=[9.81, 0, 0],
+                damping=(0.0, 0.05),
+            )
+        )
         run(sim, 300)
         return float(np.ptp(sim.positions[:, 0]))
+
     assert length_at_rest([None, 1.04, 1.04]) > 1.3
     assert length_at_rest([1.04, None, None]) < 1.045
 
@@ -298,8 +330,21 @@ def test_a_scene_without_limits_or_plane_forms_no_rows() -> None:
     wide = Simulator(beam_scene(limits={"stretch": 900.0, "compress": 0.0, "projection": "isotropic"}, **blocks))
     state = sim._state
     for name, array in state._asdict().items():
-        if name.startswith("row_") or name in ("J", "lam", "best", "constant", "compliance", "scale", "diagonal",
-                                               "cross", "has_column", "touched", "u", "S", "Z"):
+        if name.startswith("row_") or name in (
+            "J",
+            "lam",
+            "best",
+            "constant",
+            "compliance",
+            "scale",
+            "diagonal",
+            "cross",
+            "has_column",
+            "touched",
+            "u",
+            "S",
+            "Z",
+        ):
             assert array.size == 0, name
     assert state.lam.size == 0
     for _ in range(50):

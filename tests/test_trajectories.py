@@ -274,9 +274,7 @@ def test_binary_and_missing_files_are_refused(tmp_path: Path) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(-1e6, 1e6, allow_subnormal=False), min_size=1, max_size=20))
-def test_numbers_survive_to_the_last_bit(
-    tmp_path_factory: pytest.TempPathFactory, values: list[float]
-) -> None:
+def test_numbers_survive_to_the_last_bit(tmp_path_factory: pytest.TempPathFactory, values: list[float]) -> None:
     """What a CSV says of a position is in the bag to the last bit."""
     text = "t,x\n" + "".join(f"{k},{value!r}\n" for k, value in enumerate(values))
     _, position, _ = poses(imported(tmp_path_factory.mktemp("numbers"), text))

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..arrays import Floats, Ints
 from .compile import kernel
 
 if TYPE_CHECKING:
     from .model import Model, State
 
+BATCH = 32  # tetrahedra decomposed side by side: a fixed, contiguous inner loop, long enough that LLVM vectorises it
 _SWEEPS = 30  # one-sided Jacobi converges quadratically: 3 to 6 in practice
 _ORTHOGONAL = 1e-15
 
@@ -29,39 +32,73 @@ def deformation_gradient(tets: Ints, gradients: Floats, x: Floats, F: Floats) ->
                 F[t, i, j] = a * gradients[t, 0, j] + b * gradients[t, 1, j] + c * gradients[t, 2, j]
 
 
+def signed_svd(F: Floats) -> tuple[Floats, Floats, Floats]:
+    """U, s, V of one matrix F (3, 3): see `signed_svds`."""
+    U, s, V = np.empty((1, 3, 3)), np.empty((1, 3)), np.empty((1, 3, 3))
+    signed_svds(np.ascontiguousarray(F)[None], U, s, V, np.empty((3, 3, BATCH)), np.empty((3, 3, BATCH)))
+    return U[0], s[0], V[0]
+
+
 @kernel
-def signed_svd(F: Floats, U: Floats, s: Floats, V: Floats) -> None:
+def signed_svds(F: Floats, U: Floats, s: Floats, V: Floats, B: Floats, turn: Floats) -> None:
     """F = U diag(s) Vᵀ with det U = det V = +1; the singular value of least magnitude carries the sign of det F.
 
     One-sided Jacobi from V = I: accurate also where F is flat, and the columns stay with the axes they are
     nearest to instead of being sorted, so that a row (i, j) means the same thing from step to step.
-    F, U, V (3, 3), s (3,); U, s, V out.
+    F, U, V (T, 3, 3), s (T, 3); U, s, V out. B, turn (3, 3, BATCH) scratch: columns of F V, and of V, a matrix a lane.
     """
-    for i in range(3):
+    for start in range(0, F.shape[0], BATCH):
+        count = min(BATCH, F.shape[0] - start)
+        turn[:] = 0.0
         for j in range(3):
-            U[i, j] = F[i, j]  # U holds B = F V until its columns are orthogonal
-            V[i, j] = 1.0 if i == j else 0.0
-    for _ in range(_SWEEPS):
-        turned = False
-        for p in range(2):
-            for q in range(p + 1, 3):
-                alpha = U[0, p] * U[0, p] + U[1, p] * U[1, p] + U[2, p] * U[2, p]
-                beta = U[0, q] * U[0, q] + U[1, q] * U[1, q] + U[2, q] * U[2, q]
-                gamma = U[0, p] * U[0, q] + U[1, p] * U[1, q] + U[2, p] * U[2, q]
-                if gamma * gamma <= _ORTHOGONAL * _ORTHOGONAL * (alpha * beta):
-                    continue
-                turned = True
-                zeta = (beta - alpha) / (2.0 * gamma)
-                t = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
-                c = 1.0 / math.sqrt(1.0 + t * t)
-                d = c * t
+            for l in range(BATCH):
+                turn[j, j, l] = 1.0
                 for i in range(3):
-                    a, b = U[i, p], U[i, q]
-                    U[i, p], U[i, q] = c * a - d * b, d * a + c * b
-                    a, b = V[i, p], V[i, q]
-                    V[i, p], V[i, q] = c * a - d * b, d * a + c * b
-        if not turned:
-            break
+                    B[j, i, l] = F[start + l, i, j] if l < count else 0.0
+        for _ in range(_SWEEPS):
+            turned = _turn(B[0], B[1], turn[0], turn[1])
+            turned += _turn(B[0], B[2], turn[0], turn[2])
+            turned += _turn(B[1], B[2], turn[1], turn[2])
+            if turned == 0:
+                break
+        for l in range(count):
+            t = start + l
+            for i in range(3):
+                for j in range(3):
+                    U[t, i, j] = B[j, i, l]
+                    V[t, i, j] = turn[j, i, l]
+            _finish(U[t], s[t])
+
+
+@kernel
+def _turn(b: Floats, c: Floats, v: Floats, w: Floats) -> int:
+    """Turn columns b, c of F V and v, w of V, (3, BATCH), so that b and c are orthogonal; how many lanes had to."""
+    turned = 0
+    for l in range(BATCH):
+        b0, b1, b2, c0, c1, c2 = b[0, l], b[1, l], b[2, l], c[0, l], c[1, l], c[2, l]
+        beta = b0 * b0 + b1 * b1 + b2 * b2
+        gamma = c0 * c0 + c1 * c1 + c2 * c2
+        dot = b0 * c0 + b1 * c1 + b2 * c2
+        askew = dot * dot > _ORTHOGONAL * _ORTHOGONAL * (beta * gamma)
+        zeta = (gamma - beta) / (2.0 * (dot if askew else 1.0))
+        tangent = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
+        tangent = tangent if askew else 0.0
+        cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
+        sine = cosine * tangent
+        b[0, l], c[0, l] = cosine * b0 - sine * c0, sine * b0 + cosine * c0
+        b[1, l], c[1, l] = cosine * b1 - sine * c1, sine * b1 + cosine * c1
+        b[2, l], c[2, l] = cosine * b2 - sine * c2, sine * b2 + cosine * c2
+        v0, v1, v2, w0, w1, w2 = v[0, l], v[1, l], v[2, l], w[0, l], w[1, l], w[2, l]
+        v[0, l], w[0, l] = cosine * v0 - sine * w0, sine * v0 + cosine * w0
+        v[1, l], w[1, l] = cosine * v1 - sine * w1, sine * v1 + cosine * w1
+        v[2, l], w[2, l] = cosine * v2 - sine * w2, sine * v2 + cosine * w2
+        turned += 1 if askew else 0
+    return turned
+
+
+@kernel
+def _finish(U: Floats, s: Floats) -> None:
+    """U and the signed s of F = U diag(s) Vᵀ from the orthogonal columns of F V, which U (3, 3) holds on entry."""
     for i in range(3):
         s[i] = math.sqrt(U[0, i] * U[0, i] + U[1, i] * U[1, i] + U[2, i] * U[2, i])
     m = 0
@@ -115,5 +152,4 @@ def _normalise(U: Floats, p: int, q: int, s: Floats) -> None:
 def kinematics(model: Model, state: State) -> None:
     """F and its signed SVD for every tetrahedron, at the state's positions. Writes state.F, U, s, V."""
     deformation_gradient(model.tets, model.gradients, state.x, state.F)
-    for t in range(model.tets.shape[0]):
-        signed_svd(state.F[t], state.U[t], state.s[t], state.V[t])
+    signed_svds(state.F, state.U, state.s, state.V, state.columns, state.turn)

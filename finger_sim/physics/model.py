@@ -10,6 +10,7 @@ from ..arrays import Floats, Ints
 from ..mesh import TetMesh
 from ..scene import Scene
 from . import strain_limits
+from .kinematics import BATCH
 from .linear_solver import LANES, Pattern, analyse, block_of
 
 MAX_ROWS = 2048  # limit and contact rows of one step; more are left out, with a status bit
@@ -96,6 +97,8 @@ class State(NamedTuple):
     S: Floats  # (9 touched²,) A⁻¹ between touched nodes, used as (3 touched, 3 touched)
     Z: Floats  # (3 rows touched,) h A⁻¹ Jᵀ, a row's column contiguous
     Y: Floats  # (nf, 3, LANES) right-hand sides
+    columns: Floats  # (3, 3, BATCH) scratch
+    turn: Floats  # (3, 3, BATCH) scratch
     D: Floats  # (3, 3) scratch
     E: Floats  # (3, 3) scratch
     P: Floats  # (3, 3) scratch
@@ -260,6 +263,8 @@ def build_state(model: Model, positions: Floats) -> State:
         S=np.zeros(9 * touched * touched),
         Z=np.zeros(3 * rows * touched),
         Y=np.zeros((nf, 3, LANES)),
+        columns=np.zeros((3, 3, BATCH)),
+        turn=np.zeros((3, 3, BATCH)),
         D=np.zeros((3, 3)),
         E=np.zeros((3, 3)),
         P=np.zeros((3, 3)),

@@ -32,7 +32,7 @@ PROJECTIONS = {"hyperbolic": HYPERBOLIC, "isotropic": ISOTROPIC}
 
 SOLVER_GAP = 0.03  # |s_i² − s_k²| in a step's rows: what keeps a force near crossing singular values from exploding
 EXACT_GAP = 1e-12  # in `evaluate`: the plain derivative
-_MARGIN = 0.15  # rows closer to their limit than this part of its room are formed
+_MARGIN = 0.05  # rows closer to their limit than this part of its room, now or after the unconstrained step, are formed
 _RATIO_ROOM = 1e-3  # strain/limit is counted in units of the room, but of no less than this
 
 
@@ -47,8 +47,7 @@ def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floa
     F = np.array(F, dtype=np.float64)
     if F.shape != (3, 3) or not np.isfinite(F).all():
         raise ValueError(f"F: got {F!r}, allowed: a finite 3 x 3 matrix")
-    U, s, V = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
-    signed_svd(F, U, s, V)
+    U, s, V = signed_svd(F)
     projection = PROJECTIONS[limits.projection]
     stretch, compress = limits.stretch_room, limits.compress_room
     C: list[float] = []
