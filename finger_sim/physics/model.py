@@ -259,7 +259,7 @@ def build_state(model: Model, positions: Floats) -> State:
         row_local=np.zeros((rows, 4), np.int64),
         local=np.zeros(nf, np.int64),
         touched=np.zeros(touched, np.int64),
-        u=np.zeros(3 * touched + 3),
+        u=np.zeros(3 * touched + 3 if touched else 0),
         S=np.zeros(9 * touched * touched),
         Z=np.zeros(3 * rows * touched),
         Y=np.zeros((nf, 3, LANES)),

@@ -32,7 +32,7 @@ PROJECTIONS = {"hyperbolic": HYPERBOLIC, "isotropic": ISOTROPIC}
 
 SOLVER_GAP = 0.03  # |s_i² − s_k²| in a step's rows: what keeps a force near crossing singular values from exploding
 EXACT_GAP = 1e-12  # in `evaluate`: the plain derivative
-_MARGIN = 0.05  # rows closer to their limit than this part of its room, now or after the unconstrained step, are formed
+_MARGIN = 0.15  # rows closer to their limit than this part of its room, now or after the unconstrained step, are formed
 _RATIO_ROOM = 1e-3  # strain/limit is counted in units of the room, but of no less than this
 
 
