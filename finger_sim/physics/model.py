@@ -100,7 +100,6 @@ class State(NamedTuple):
     columns: Floats  # (3, 3, BATCH) scratch
     turn: Floats  # (3, 3, BATCH) scratch
     D: Floats  # (3, 3) scratch
-    E: Floats  # (3, 3) scratch
     P: Floats  # (3, 3) scratch
     G: Floats  # (4, 3) scratch
     result: Floats  # (8,) what a step reports: see step.py
@@ -266,7 +265,6 @@ def build_state(model: Model, positions: Floats) -> State:
         columns=np.zeros((3, 3, BATCH)),
         turn=np.zeros((3, 3, BATCH)),
         D=np.zeros((3, 3)),
-        E=np.zeros((3, 3)),
         P=np.zeros((3, 3)),
         G=np.zeros((4, 3)),
         result=np.zeros(8),

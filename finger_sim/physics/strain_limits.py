@@ -33,6 +33,7 @@ PROJECTIONS = {"hyperbolic": HYPERBOLIC, "isotropic": ISOTROPIC}
 SOLVER_GAP = 0.03  # |s_i² − s_k²| in a step's rows: what keeps a force near crossing singular values from exploding
 EXACT_GAP = 1e-12  # in `evaluate`: the plain derivative
 _MARGIN = 0.15  # rows closer to their limit than this part of its room, now or after the unconstrained step, are formed
+_NO_GRADIENT = 1e-20  # |J|² at free nodes, in units of the tetrahedra's size, of a row that nothing can move
 _RATIO_ROOM = 1e-3  # strain/limit is counted in units of the room, but of no less than this
 
 
@@ -56,10 +57,10 @@ def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floa
         for j in range(3 if projection == HYPERBOLIC else 1):
             room = stretch[j] if s[i] >= 1.0 else compress[j]
             if np.isfinite(room):
-                dC_dF = np.empty((3, 3))
-                gradient(projection, U, s, V, i, j, gap, dC_dF)
+                p, q = np.empty(3), np.empty(3)
+                gradient(projection, U, s, V, i, j, gap, p, q)
                 C.append(float(room - used(projection, s, V, i, j)))
-                gradients.append(dC_dF)
+                gradients.append(np.outer(U[:, i], p) + np.outer(q, V[:, i]))
     return np.array(C), np.array(gradients).reshape(-1, 3, 3)
 
 
@@ -71,15 +72,17 @@ def used(projection: int, s: Floats, V: Floats, i: int, j: int) -> float:
 
 
 @kernel
-def gradient(projection: int, U: Floats, s: Floats, V: Floats, i: int, j: int, gap: float, dC_dF: Floats) -> None:
-    """∂C/∂F of row (i, j) into dC_dF (3, 3) (Eq. 13, 17, 18; isotropic: Eq. 13 alone)."""
+def gradient(
+    projection: int, U: Floats, s: Floats, V: Floats, i: int, j: int, gap: float, p: Floats, q: Floats
+) -> None:
+    """∂C/∂F of row (i, j) as u_i pᵀ + q v_iᵀ; p, q (3,) out (Eq. 13, 17, 18; isotropic: Eq. 13 alone)."""
     side = -1.0 if s[i] >= 1.0 else 1.0
     along = side
     if projection == HYPERBOLIC:
         along = side * abs(V[j, i])
     for k in range(3):
-        for l in range(3):
-            dC_dF[k, l] = along * U[k, i] * V[l, i]
+        p[k] = along * V[k, i]
+        q[k] = 0.0
     if projection != HYPERBOLIC:
         return
     turn = side * (s[i] - 1.0) * (1.0 if V[j, i] >= 0.0 else -1.0)
@@ -91,8 +94,8 @@ def gradient(projection: int, U: Floats, s: Floats, V: Floats, i: int, j: int, g
             difference = gap if difference >= 0.0 else -gap
         w = turn * V[j, m] / difference
         for k in range(3):
-            for l in range(3):
-                dC_dF[k, l] += w * (s[m] * U[k, m] * V[l, i] + s[i] * U[k, i] * V[l, m])
+            p[k] += w * s[i] * V[k, m]
+            q[k] += w * s[m] * U[k, m]
 
 
 @kernel
@@ -119,7 +122,8 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
     of λ), lam (warm start [N m]) and the row's key: tetrahedron, i, j. -1 when the arrays hold no more rows.
     """
     axes = 3 if model.projection == HYPERBOLIC else 1
-    dC_dF = state.E
+    p, q = state.P[0], state.P[1]
+    least = _NO_GRADIENT / model.length**2
     for o in range(model.tets.shape[0]):
         t = model.tet_order[o]
         if not model.tet_moves[t]:
@@ -139,7 +143,7 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
                         reach = h * _strain_rate(model.tets[t], state.v, r, U, V, state.D)
                     if C - reach > near:
                         continue
-                gradient(model.projection, U, s, V, i, j, SOLVER_GAP, dC_dF)
+                gradient(model.projection, U, s, V, i, j, SOLVER_GAP, p, q)
                 ahead = C
                 force = 0.0
                 if rows >= state.lam.shape[0]:
@@ -147,12 +151,15 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
                 J = state.J[rows]
                 for n in range(4):
                     v = state.v[model.tets[t, n]]
+                    free = 1.0 if model.tet_slot[t, n] >= 0 else 0.0
+                    a = p[0] * r[n, 0] + p[1] * r[n, 1] + p[2] * r[n, 2]
+                    b = V[0, i] * r[n, 0] + V[1, i] * r[n, 1] + V[2, i] * r[n, 2]
                     for k in range(3):
-                        g = dC_dF[k, 0] * r[n, 0] + dC_dF[k, 1] * r[n, 1] + dC_dF[k, 2] * r[n, 2]
+                        g = U[k, i] * a + q[k] * b
                         J[n, k] = g
                         ahead += h * g * v[k]
-                        force += g * g
-                if near < C and ahead > near:
+                        force += free * g * g
+                if (near < C and ahead > near) or force <= least:
                     continue
                 for n in range(4):
                     state.row_slot[rows, n] = model.tet_slot[t, n]
