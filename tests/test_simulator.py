@@ -629,3 +629,26 @@ def test_everything_is_plain_data() -> None:
     assert wrench.shape == (6,)
     assert plain.pop("device_wrench").shape == (6,)
     json.dumps(plain)
+
+
+def test_a_step_allocates_nothing() -> None:
+    """Two hundred pressed steps ask for no more memory than taking the arguments of as many calls does."""
+    from numba.core.runtime import _nrt_python, rtsys
+
+    from finger_sim.physics import step, strain_limits
+
+    _nrt_python.memsys_enable_stats()
+    sim = Simulator(finger_scene())
+    sim.reset(pose((0.0, 0.0, 0.006), Rotation.from_euler("x", 90, degrees=True)))
+    assert [sim.step() for _ in range(5)][-1].limit_rows > 20
+
+    def allocations(call: Any) -> int:
+        before = rtsys.get_allocation_stats().alloc
+        for _ in range(200):
+            call()
+        return int(rtsys.get_allocation_stats().alloc - before)
+
+    model, state = sim._model, sim._state
+    arguments_only = allocations(lambda: strain_limits.strain_ratio(model, state))
+    assert arguments_only > 0
+    assert allocations(lambda: step.step(model, state, 1e-3)) == arguments_only
