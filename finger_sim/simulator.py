@@ -89,9 +89,7 @@ class Simulator:
         for substep in range(1, scene.substeps + 1):
             before, self.pose = self.pose, between(start, end, substep / scene.substeps)
             state.origin[:] = self.pose.position
-            if self._driven:
-                state.targets[:] = placed(self._rest_driven, self.pose)
-            stepping.step(self._model, state, h)
+            stepping.step(self._model, state, placed(self._rest_driven, self.pose), h)
             status |= Status(int(state.result[stepping.STATUS]))
             if status & Status.STEP_REJECTED:
                 self._move_rigidly(before, self.pose, h)
@@ -204,8 +202,7 @@ class Simulator:
     def _warm_up(self) -> None:
         """Compile or load every kernel that a run will call."""
         self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
-        self._state.targets[:] = self._rest_driven
-        stepping.step(self._model, self._state, self.scene.dt / self.scene.substeps)
+        stepping.step(self._model, self._state, self._rest_driven.copy(), self.scene.dt / self.scene.substeps)
 
 
 def placed(points: Floats, pose: Pose) -> Floats:

@@ -61,7 +61,6 @@ class State(NamedTuple):
 
     x: Floats  # (n, 3) positions [m], world
     v: Floats  # (n, 3) velocities [m/s], world
-    targets: Floats  # (nd, 3) where the driven nodes are to be at the end of the step [m]
     origin: Floats  # (3,) origin of the finger frame at the end of the step, world [m]: wrenches are about it
     F: Floats  # (T, 3, 3) deformation gradient at x
     U: Floats  # (T, 3, 3) F = U diag(s) Vᵀ
@@ -226,7 +225,6 @@ def build_state(model: Model, positions: Floats) -> State:
     return State(
         x=positions.copy(),
         v=np.zeros((n, 3)),
-        targets=positions[model.driven].copy(),
         origin=np.zeros(3),
         F=np.zeros((count, 3, 3)),
         U=np.zeros((count, 3, 3)),

@@ -41,13 +41,15 @@ _LOCKED, _INVERTED = int(Status.LOCKED), int(Status.INVERTED)
 
 
 @kernel
-def step(model: Model, state: State, h: float) -> None:
-    """Advance `state` by h [s] towards state.targets; what happened goes into state.result.
+def step(model: Model, state: State, targets: Floats, h: float) -> None:
+    """Advance `state` by h [s]; what happened goes into state.result.
+
+    targets (nd, 3): where the driven nodes are to be at the end [m], world.
 
     state.F, U, s, V hold the kinematics of the start (Eq. 1-4), those of the end are left for the next step.
     """
     state.result[:] = 0.0
-    drive(model, state, h)
+    drive(model, state, targets, h)
 
     assemble(model, state, h)  # A and b: backward Euler, forces linearised at the start
     definite = factor(model.pattern, state.A_diagonal, state.A_lower, state.A_inverse)
@@ -77,20 +79,20 @@ def step(model: Model, state: State, h: float) -> None:
         reject(model, state)
         state.result[STATUS] = _REJECTED
         return
-    integrate(model, state, h)  # x += h v
+    integrate(model, state, targets, h)  # x += h v
     kinematics(model, state)
     state.result[STATUS] = status
     observe(model, state, contacts, rows)
 
 
 @stage
-def drive(model: Model, state: State, h: float) -> None:
+def drive(model: Model, state: State, targets: Floats, h: float) -> None:
     """Velocities that take the driven nodes to their targets in this step."""
     copy(state.v, state.old)
     for d in range(model.driven.shape[0]):
         n = model.driven[d]
         for i in range(3):
-            state.v[n, i] = (state.targets[d, i] - state.x[n, i]) / h
+            state.v[n, i] = (targets[d, i] - state.x[n, i]) / h
 
 
 @kernel
@@ -130,14 +132,14 @@ def reject(model: Model, state: State) -> None:
 
 
 @stage
-def integrate(model: Model, state: State, h: float) -> None:
+def integrate(model: Model, state: State, targets: Floats, h: float) -> None:
     """Positions at the end of the step; driven nodes are at their targets exactly."""
     for n in range(state.x.shape[0]):
         for i in range(3):
             state.x[n, i] += h * state.v[n, i]
     for d in range(model.driven.shape[0]):
         for i in range(3):
-            state.x[model.driven[d], i] = state.targets[d, i]
+            state.x[model.driven[d], i] = targets[d, i]
 
 
 @stage
