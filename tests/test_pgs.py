@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 from finger_sim import Pose, Scene, Simulator
 from finger_sim.physics import pgs
 from finger_sim.physics.contact import _MARGIN as CONTACT_MARGIN
-from finger_sim.physics.strain_limits import _MARGIN as LIMIT_MARGIN
-from finger_sim.physics.strain_limits import SOLVER_GAP
+from finger_sim.physics.strain_limits import _MARGIN, _RIGID_MARGIN, SOLVER_GAP
 
 clarabel = pytest.importorskip("clarabel")
 
@@ -75,7 +74,8 @@ def stepped(sim: Simulator, command: Pose | None) -> Problem:
     if scene.limits is not None:
         strain = naive.strain_rows(body, x, scene, SOLVER_GAP, system.free)
         ahead = strain.C + h * strain.J @ unconstrained
-        parts.append(chosen(strain, np.minimum(strain.C, ahead) <= LIMIT_MARGIN * rooms(body, x, scene, system.free)))
+        margin = _MARGIN if scene.limits.stiffness else _RIGID_MARGIN
+        parts.append(chosen(strain, np.minimum(strain.C, ahead) <= margin * rooms(body, x, scene, system.free)))
     forces = np.abs(sim._state.warm_limit)
     lam = {t: np.sort(forces[t][forces[t] > 0.0]) for t in range(len(body.tets)) if forces[t].any()}
     return Problem(

@@ -161,15 +161,19 @@ def solve(pattern: Pattern, lower: Floats, inverse: Floats, y: Floats) -> None:
 
 
 @kernel
-def solve_lanes(pattern: Pattern, lower: Floats, inverse: Floats, first: int, Y: Floats) -> None:
+def solve_lanes(pattern: Pattern, lower: Floats, inverse: Floats, first: int, reached: Ints, Y: Floats) -> None:
     """Replace the LANES right-hand sides Y (nf, 3, LANES) by A⁻¹ Y, from slot `first` on.
 
-    Slots before `first` must be zero on entry; they are not computed.
+    Slots before `first` must be zero on entry; they are not computed. reached (nf,): 0 where Y is zero, so that
+    the way down the elimination tree passes such slots over; changed on the way.
     """
     nf = inverse.shape[0]
     for k in range(first, nf):
+        if reached[k] == 0:
+            continue
         for p in range(pattern.start[k], pattern.start[k + 1]):
             L = lower[p]
+            reached[pattern.row[p]] = 1
             _subtract(
                 Y[pattern.row[p]], Y[k], L[0, 0], L[0, 1], L[0, 2], L[1, 0], L[1, 1], L[1, 2], L[2, 0], L[2, 1], L[2, 2]
             )

@@ -96,6 +96,7 @@ class State(NamedTuple):
     S: Floats  # (9 touched²,) A⁻¹ between touched nodes, used as (3 touched, 3 touched)
     Z: Floats  # (3 rows touched,) h A⁻¹ Jᵀ, a row's column contiguous
     Y: Floats  # (nf, 3, LANES) right-hand sides
+    reached: Ints  # (nf,) 1 where Y is not zero
     columns: Floats  # (3, 3, BATCH) scratch
     turn: Floats  # (3, 3, BATCH) scratch
     D: Floats  # (3, 3) scratch
@@ -260,6 +261,7 @@ def build_state(model: Model, positions: Floats) -> State:
         S=np.zeros(9 * touched * touched),
         Z=np.zeros(3 * rows * touched),
         Y=np.zeros((nf, 3, LANES)),
+        reached=np.zeros(nf, np.int64),
         columns=np.zeros((3, 3, BATCH)),
         turn=np.zeros((3, 3, BATCH)),
         D=np.zeros((3, 3)),

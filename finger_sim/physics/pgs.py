@@ -60,11 +60,13 @@ def inverse_between(model: Model, state: State, count: int) -> None:
     for start in range(0, count, NODE_LANES):
         first = state.touched[start]
         Y[first:] = 0.0
+        state.reached[first:] = 0
         width = min(NODE_LANES, count - start)
         for c in range(width):
+            state.reached[state.touched[start + c]] = 1
             for i in range(3):
                 Y[state.touched[start + c], i, 3 * c + i] = 1.0
-        solve_lanes(model.pattern, state.A_lower, state.A_inverse, first, Y)
+        solve_lanes(model.pattern, state.A_lower, state.A_inverse, first, state.reached, Y)
         for a in range(start, count):
             k = state.touched[a]
             for i in range(3):

@@ -32,7 +32,9 @@ PROJECTIONS = {"hyperbolic": HYPERBOLIC, "isotropic": ISOTROPIC}
 
 SOLVER_GAP = 0.03  # |s_i² − s_k²| in a step's rows: what keeps a force near crossing singular values from exploding
 EXACT_GAP = 1e-12  # in `evaluate`: the plain derivative
-_MARGIN = 0.15  # rows closer to their limit than this part of its room, now or after the unconstrained step, are formed
+# Rows closer to their limit than this part of its room, now or after the unconstrained step, are formed. A rigid limit
+# that its neighbours push past it in between has no way back but the next step; a stiff one gives by less.
+_MARGIN, _RIGID_MARGIN = 0.05, 0.15
 _NO_GRADIENT = 1e-20  # |J|² at free nodes, in units of the tetrahedra's size, of a row that nothing can move
 _RATIO_ROOM = 1e-3  # strain/limit is counted in units of the room, but of no less than this
 
@@ -123,6 +125,7 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
     """
     axes = 3 if model.projection == HYPERBOLIC else 1
     p, q = state.P[0], state.P[1]
+    margin = _MARGIN if model.limit_compliance > 0.0 else _RIGID_MARGIN
     least = _NO_GRADIENT / model.length**2
     for o in range(model.tets.shape[0]):
         t = model.tet_order[o]
@@ -137,7 +140,7 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
                 if not room < math.inf:
                     continue
                 C = room - used(model.projection, s, V, i, j)
-                near = _MARGIN * room
+                near = margin * room
                 if near < C:
                     if reach < 0.0:
                         reach = h * _strain_rate(model.tets[t], state.v, r, U, V, state.D)
