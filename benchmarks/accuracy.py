@@ -10,7 +10,7 @@ from strokes import poses
 
 from finger_sim import Pose, Scene, Simulator
 
-CONVERGED = {"solver.tolerance": 1e-8, "solver.max_iterations": 20_000}
+CONVERGED = {"solver.tolerance": 1e-6, "solver.max_iterations": 5_000}
 
 
 def main() -> None:
