@@ -14,6 +14,7 @@ from .arrays import Floats
 from .coupling import between, device_wrench, follow
 from .errors import SceneError
 from .fields import specs
+from .layout import place
 from .mesh import TetMesh
 from .physics import step as stepping
 from .physics.compile import compiled_before
@@ -89,7 +90,7 @@ class Simulator:
         for substep in range(1, scene.substeps + 1):
             before, self.pose = self.pose, between(start, end, substep / scene.substeps)
             state.origin[:] = self.pose.position
-            stepping.step(self._model, state, placed(self._rest_driven, self.pose), h)
+            stepping.step(self._model, state, place(self._rest_driven, self.pose), h)
             status |= Status(int(state.result[stepping.STATUS]))
             if status & Status.STEP_REJECTED:
                 self._move_rigidly(before, self.pose, h)
@@ -122,7 +123,7 @@ class Simulator:
             self._command = _checked(pose)
         self.pose = self._command
         self._steps = 0
-        positions = placed(self.mesh.points, self.pose)
+        positions = place(self.mesh.points, self.pose)
         self.set_state(positions, np.zeros_like(positions))
 
     def set_state(self, positions: Floats, velocities: Floats) -> None:
@@ -203,11 +204,6 @@ class Simulator:
         """Compile or load every kernel that a run will call."""
         self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
         stepping.step(self._model, self._state, self._rest_driven.copy(), self.scene.dt / self.scene.substeps)
-
-
-def placed(points: Floats, pose: Pose) -> Floats:
-    """Mesh points (k, 3) taken to the world: R X + p."""
-    return np.asarray(points @ matrix(pose.orientation).T + np.array(pose.position))
 
 
 def _checked(pose: Pose) -> Pose:
