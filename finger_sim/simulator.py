@@ -27,6 +27,8 @@ from .scene import Pose, Scene
 
 Progress = Callable[[str], None]
 
+_POSE = specs(Pose)
+
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class StepResult:
@@ -91,9 +93,10 @@ class Simulator:
             before, self.pose = self.pose, between(start, end, substep / scene.substeps)
             state.origin[:] = self.pose.position
             stepping.step(self._model, state, place(self._rest_driven, self.pose), h)
-            status |= Status(int(state.result[stepping.STATUS]))
-            if status & Status.STEP_REJECTED:
+            came = Status(int(state.result[stepping.STATUS]))
+            if came & Status.STEP_REJECTED:
                 self._move_rigidly(before, self.pose, h)
+            status |= came
             iterations += int(state.result[stepping.ITERATIONS])
             residual = max(residual, float(state.result[stepping.RESIDUAL]))
         self._steps += 1
@@ -209,10 +212,10 @@ class Simulator:
 def _checked(pose: Pose) -> Pose:
     """The pose with a unit quaternion. Raises SceneError when it cannot be one."""
     position, orientation = pose.position, pose.orientation
-    if not all(map(math.isfinite, position)) or max(map(abs, position)) > 1e4:
-        raise SceneError("command.position", position, specs(Pose)["position"].allowed)
+    if not all(map(math.isfinite, position)) or max(map(abs, position)) > _POSE["position"].high:
+        raise SceneError("command.position", position, _POSE["position"].allowed)
     if not all(map(math.isfinite, orientation)) or math.hypot(*orientation) < ZERO_NORM:
-        raise SceneError("command.orientation", orientation, specs(Pose)["orientation"].allowed)
+        raise SceneError("command.orientation", orientation, _POSE["orientation"].allowed)
     return Pose(position, normalised(orientation))
 
 

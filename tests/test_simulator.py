@@ -653,3 +653,14 @@ def test_a_step_allocates_nothing() -> None:
     assert arguments_only > 0
     # one more array: the targets
     assert allocations(lambda: step.step(model, state, targets, 1e-3)) == arguments_only + 200
+
+
+def test_a_rejected_substep_leaves_the_next_ones_alone() -> None:
+    """A free body at an impossible speed is stopped by its first substep; in the other three it falls freely."""
+    sim = Simulator(beam_scene(gravity=[0, 0, -9.81], substeps=4))
+    points = np.array(sim.mesh.points)
+    sim.set_state(points, np.full_like(points, 1e160))
+    out = sim.step()
+    assert out.status & Status.STEP_REJECTED
+    h = sim.scene.dt / 4
+    assert_allclose(sim.velocities, np.tile([0.0, 0.0, -9.81 * 3 * h], (len(points), 1)), rtol=0, atol=1e-9)

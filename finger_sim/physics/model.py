@@ -75,7 +75,6 @@ class State(NamedTuple):
     A_lower: Floats  # (nnz, 3, 3)
     A_inverse: Floats  # (nf, 3, 3) D⁻¹ of the factorisation
     rhs: Floats  # (nf, 3)
-    old: Floats  # (n, 3) velocities at the start of the step, kept for a rejected step
     J: Floats  # (rows, 4, 3) gradient of each row at its nodes
     row_slot: Ints  # (rows, 4) slots of these nodes, −1: driven or none
     row_tet: Ints  # (rows,) tetrahedron of a limit row; −1 − node of a contact row
@@ -240,7 +239,6 @@ def build_state(model: Model, positions: Floats) -> State:
         A_lower=np.zeros((nnz, 3, 3)),
         A_inverse=np.zeros((nf, 3, 3)),
         rhs=np.zeros((nf, 3)),
-        old=np.zeros((n, 3)),
         J=np.zeros((rows, 4, 3)),
         row_slot=np.zeros((rows, 4), np.int64),
         row_tet=np.zeros(rows, np.int64),

@@ -47,6 +47,7 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
     targets (nd, 3): where the driven nodes are to be at the end [m], world.
 
     state.F, U, s, V hold the kinematics of the start (Eq. 1-4), those of the end are left for the next step.
+    After STEP_REJECTED the positions are those of the start and the velocities are of no use: set both anew.
     """
     state.result[:] = 0.0
     drive(model, state, targets, h)
@@ -76,7 +77,6 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
             status |= _ITERATION_LIMIT
 
     if not (definite and bounded(state.v, _FARTHEST * model.length / h)):
-        reject(model, state)
         state.result[STATUS] = _REJECTED
         return
     integrate(model, state, targets, h)  # x += h v
@@ -88,19 +88,10 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
 @stage
 def drive(model: Model, state: State, targets: Floats, h: float) -> None:
     """Velocities that take the driven nodes to their targets in this step."""
-    copy(state.v, state.old)
     for d in range(model.driven.shape[0]):
         n = model.driven[d]
         for i in range(3):
             state.v[n, i] = (targets[d, i] - state.x[n, i]) / h
-
-
-@kernel
-def copy(source: Floats, out: Floats) -> None:
-    """out = source for (n, 3) arrays: a plain loop, which compiles faster than numba's general assignment."""
-    for n in range(source.shape[0]):
-        for i in range(3):
-            out[n, i] = source[n, i]
 
 
 @stage
@@ -120,15 +111,6 @@ def bounded(v: Floats, bound: float) -> bool:
             if not abs(v[n, i]) <= bound:
                 return False
     return True
-
-
-@stage
-def reject(model: Model, state: State) -> None:
-    """Take back a step that went wrong: velocities as before, no row force to start the next one from."""
-    copy(state.old, state.v)
-    state.warm_limit[:] = 0.0
-    state.contact_force[:] = 0.0
-    state.wrench[:] = 0.0
 
 
 @stage
