@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from .arrays import Floats
 from .rotations import angle, slerp
 from .scene import Coupling, Pose
@@ -39,7 +37,7 @@ def device_wrench(coupling: Coupling, contact_wrench: Floats) -> Floats:
     """The contact wrench (6,) [N, N m], its force and torque each scaled back to the coupling's limits."""
     wrench = contact_wrench.copy()
     for part, limit in ((slice(0, 3), coupling.force_limit), (slice(3, 6), coupling.torque_limit)):
-        size = float(np.linalg.norm(wrench[part]))
+        size = math.hypot(*wrench[part].tolist())
         if size > limit:
             wrench[part] *= limit / size
     return wrench

@@ -95,11 +95,11 @@ class Limits:
     `stretch` s_max ≥ 1 and `compress` s_min ≤ 1 bound the stretch; null on an axis leaves it free.
     """
 
-    projection: Literal["hyperbolic", "isotropic"] = field(
+    projection: Literal["hyperbolic", "isotropic", "tensor"] = field(
         "choice",
-        "How limits along the axes bound principal stretches",
+        "How limits along the axes bound strain in all directions; hyperbolic: the paper's, tensor: beyond it",
         default="hyperbolic",
-        choices=("hyperbolic", "isotropic"),
+        choices=("hyperbolic", "isotropic", "tensor"),
     )
     stretch: Limit3 = field(
         "limit3", "Largest stretch s_max along e1, e2, e3", default=(None, None, None), low=1.0, high=1e3
@@ -114,6 +114,14 @@ class Limits:
         low=1e-3,
         high=1e9,
         optional=True,
+    )
+
+    inertia: float = field(
+        "float",
+        "A limit is at least so many times as stiff as the inertia behind it within a step; 0: stiffness alone",
+        default=0.0,
+        low=0.0,
+        high=1e6,
     )
 
     def check(self, prefix: str) -> None:
@@ -166,22 +174,46 @@ class Plane:
 class Solver:
     """How the constrained step is solved, and how well."""
 
-    method: Literal["pgs"] = field(
-        "choice", "pgs: projected Gauss-Seidel, the paper's", default="pgs", choices=("pgs",)
+    method: Literal["pgs", "newton"] = field(
+        "choice",
+        "pgs: projected Gauss-Seidel, the paper's; newton: primal, as fast with every tetrahedron at its limit",
+        default="pgs",
+        choices=("pgs", "newton"),
     )
     tolerance: float = field(
         "float",
-        "Stop when no row's force is off by more than this fraction of the largest row force",
+        "Stop when no force is off by more than this fraction of the largest row force",
         default=1e-3,
         low=1e-12,
         high=0.5,
         live=True,
     )
     max_iterations: int = field(
-        "int", "Sweeps a step at most; reaching it sets a status bit", default=400, low=1, high=1_000_000, live=True
+        "int",
+        "Sweeps or Newton iterations a step at most; reaching it sets a status bit",
+        default=400,
+        low=1,
+        high=1_000_000,
+        live=True,
     )
     relinearizations: int = field(
-        "int", "Times a step's rows are formed anew (0: once, as the paper)", default=0, low=0, high=0
+        "int", "Times a step is linearised anew about where it ends (0: as the paper)", default=0, low=0, high=100
+    )
+    level: Literal["standard", "lagged"] = field(
+        "choice",
+        "standard: all linearised every step; lagged: one stiffness matrix for 4 steps (newton only)",
+        default="standard",
+        choices=("standard", "lagged"),
+    )
+    deadline: float | None = field(
+        "float",
+        "Time after which a step begins no further Newton iteration; null: none",
+        default=None,
+        unit="s",
+        low=1e-6,
+        high=10.0,
+        optional=True,
+        live=True,
     )
 
 
@@ -246,6 +278,14 @@ class Scene:
     dt: float = field("float", "Time step of one Simulator.step", default=0.001, unit="s", low=1e-6, high=0.1)
     substeps: int = field("int", "Steps of dt / substeps inside one Simulator.step", default=1, low=1, high=1000)
     initial_pose: Pose = field("part", "Where the body rests before the first command", default=Pose(), part=Pose)
+
+    def check(self, prefix: str) -> None:
+        if self.solver.level == "lagged" and (self.solver.method == "pgs" or self.solver.relinearizations > 0):
+            raise SceneError(f"{prefix}solver.level", "lagged", "standard, unless newton with relinearizations 0")
+        if self.solver.method == "newton":
+            for name, part in (("limits", self.limits), ("plane", self.plane)):
+                if part is not None and part.stiffness is None:
+                    raise SceneError(f"{prefix}{name}.stiffness", None, "a number: only solver.method pgs can be rigid")
 
     @staticmethod
     def load(path: str | Path) -> Scene:

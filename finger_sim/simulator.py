@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -17,17 +18,18 @@ from .fields import specs
 from .layout import place
 from .mesh import TetMesh
 from .physics import step as stepping
+from .physics.clock import STAGES
 from .physics.compile import compiled_before
-from .physics.kinematics import kinematics
 from .physics.model import build_model, build_state, with_live_values
+from .physics.ready import advance, measure_strains, ready, refresh
 from .physics.step import Status
-from .physics.strain_limits import NONE, strain_ratio
 from .rotations import ZERO_NORM, matrix, normalised
 from .scene import Pose, Scene
 
 Progress = Callable[[str], None]
 
 _POSE = specs(Pose)
+_REJECTED = int(Status.STEP_REJECTED)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -53,20 +55,24 @@ class Simulator:
 
     A command maps the mesh as read into the world (`Pose`). The body starts at rest at `scene.initial_pose`.
     `progress` is told in short texts what is going on while kernels compile or load.
+    `timed`: steps measure their stages (`stage_seconds`), which costs them a few clock readings.
     Raises MeshError when the scene's mesh cannot be used.
     """
 
-    def __init__(self, scene: Scene, progress: Progress | None = None) -> None:
+    def __init__(self, scene: Scene, progress: Progress | None = None, *, timed: bool = False) -> None:
         tell = progress or (lambda text: None)
         self.scene = scene
         self.mesh: TetMesh = scene.load_mesh()
         tell(f"mesh: {len(self.mesh.tets)} tetrahedra, {len(self.mesh.points)} nodes")
         self._model = build_model(scene, self.mesh)
-        self._state = build_state(self._model, self.mesh.points)
+        self._state = build_state(self._model, self.mesh.points, timed)
+        self._ready = ready(self._model, self._state)
         self._rest_driven = self.mesh.points[self._model.driven]
+        self._turned_by, self._turned_driven = Pose().orientation, self._rest_driven
         self._driven = scene.driven is not None
         self._command = self.pose = scene.initial_pose
         self._steps = 0
+        self._timed = timed
         if compiled_before():
             tell("loading compiled kernels")
         else:
@@ -88,23 +94,25 @@ class Simulator:
         if self._driven:
             end, limited = follow(scene.coupling, start, self._command, scene.dt)
         h = scene.dt / scene.substeps
-        status, iterations, residual = Status.COMMAND_LIMITED if limited else Status.OK, 0, 0.0
+        status, iterations, residual = int(Status.COMMAND_LIMITED) if limited else 0, 0, 0.0
         for substep in range(1, scene.substeps + 1):
             before, self.pose = self.pose, between(start, end, substep / scene.substeps)
             state.origin[:] = self.pose.position
-            stepping.step(self._model, state, place(self._rest_driven, self.pose), h)
-            came = Status(int(state.result[stepping.STATUS]))
-            if came & Status.STEP_REJECTED:
+            if self._timed:
+                state.laps[len(STAGES)] = time.perf_counter()  # the same clock as compiled code's
+            advance(self._ready, self._targets(), h)
+            result = state.result.tolist()
+            came = int(result[stepping.STATUS])
+            if came & _REJECTED:
                 self._move_rigidly(before, self.pose, h)
             status |= came
-            iterations += int(state.result[stepping.ITERATIONS])
-            residual = max(residual, float(state.result[stepping.RESIDUAL]))
+            iterations += int(result[stepping.ITERATIONS])
+            residual = max(residual, result[stepping.RESIDUAL])
         self._steps += 1
         wrench = state.wrench.copy()
         if not self._driven:
             self.pose = self._best_fit()
             wrench[3:] += np.cross(state.origin - np.array(self.pose.position), wrench[:3])
-        result = state.result
         return StepResult(
             time=self.time,
             contact_wrench=wrench,
@@ -112,12 +120,12 @@ class Simulator:
             pose=self.pose,
             iterations=iterations,
             residual=residual,
-            status=status,
+            status=Status(status),
             limited_tets=int(result[stepping.LIMITED_TETS]),
             limit_rows=int(result[stepping.LIMIT_ROWS]),
-            max_strain_ratio=float(result[stepping.STRAIN_RATIO]),
+            max_strain_ratio=result[stepping.STRAIN_RATIO],
             contacts=int(result[stepping.CONTACTS]),
-            max_penetration=float(result[stepping.PENETRATION]),
+            max_penetration=result[stepping.PENETRATION],
         )
 
     def reset(self, pose: Pose | None = None) -> None:
@@ -126,6 +134,7 @@ class Simulator:
             self._command = _checked(pose)
         self.pose = self._command
         self._steps = 0
+        self._state.laps[:] = 0.0
         positions = place(self.mesh.points, self.pose)
         self.set_state(positions, np.zeros_like(positions))
 
@@ -137,15 +146,14 @@ class Simulator:
         state = self._state
         x, v = (np.array(given, np.float64) for given in (positions, velocities))
         for name, value in (("positions", x), ("velocities", v)):
-            if value.shape != state.x.shape or not np.isfinite(value).all():
-                raise SceneError(name, f"shape {value.shape}", f"finite numbers of shape {state.x.shape}")
-        state.x[:], state.v[:] = x, v
-        for report in (state.contact_force, state.wrench, state.warm_limit, state.result):
+            if value.shape != self.mesh.points.shape or not np.isfinite(value).all():
+                raise SceneError(name, f"shape {value.shape}", f"finite numbers of shape {self.mesh.points.shape}")
+        state.x[:, :3], state.v[:, :3] = x, v
+        for report in (state.contact_force, state.wrench, state.warm_limit, state.limit_force, state.result):
             report[:] = 0.0
         state.active_rows[:] = 0
-        kinematics(self._model, state)
-        if self._model.projection != NONE:
-            strain_ratio(self._model, state)
+        state.age[0] = 0
+        refresh(self._ready)
 
     def apply(self, values: Mapping[str, Any]) -> None:
         """Change live values of the scene (dotted keys, e.g. {"plane.friction": 0.3}) between two steps.
@@ -158,6 +166,7 @@ class Simulator:
                 raise SceneError(key, value, f"values that may change while running: {', '.join(sorted(live))}")
         self.scene = self.scene.with_values(values)
         self._model = with_live_values(self._model, self.scene)
+        self._ready = ready(self._model, self._state)
 
     @property
     def time(self) -> float:
@@ -165,14 +174,19 @@ class Simulator:
         return self._steps * self.scene.dt
 
     @property
+    def stage_seconds(self) -> dict[str, float]:
+        """Time spent in each stage of the steps since the last reset [s]; empty unless `timed`."""
+        return dict(zip(STAGES, self._state.laps.tolist(), strict=False))
+
+    @property
     def positions(self) -> Floats:
         """Node positions (n, 3) [m], world, read-only; a view that the next step changes."""
-        return _read_only(self._state.x)
+        return _read_only(self._state.x[:, :3])
 
     @property
     def velocities(self) -> Floats:
         """Node velocities (n, 3) [m/s], world, read-only."""
-        return _read_only(self._state.v)
+        return _read_only(self._state.v[:, :3])
 
     @property
     def contact_forces(self) -> Floats:
@@ -182,21 +196,29 @@ class Simulator:
     @property
     def strain_ratio(self) -> Floats:
         """strain/limit of each tetrahedron (T,), 1: exactly at its limit, 0 without limits; read-only."""
+        measure_strains(self._ready)
         return _read_only(self._state.strain_ratio)
+
+    def _targets(self) -> Floats:
+        """Where the driven nodes are to be, (nd, 3) [m], at self.pose; the turned rest nodes are kept for the next."""
+        if self.pose.orientation != self._turned_by:
+            self._turned_by = self.pose.orientation
+            self._turned_driven = self._rest_driven @ matrix(self._turned_by).T
+        targets: Floats = self._turned_driven + self.pose.position
+        return targets
 
     def _move_rigidly(self, before: Pose, after: Pose, h: float) -> None:
         """After a rejected step: every node goes with the bone; a body without one stops."""
-        state = self._state
         if not self._driven:
-            self.set_state(state.x, np.zeros_like(state.x))
+            self.set_state(self.positions, np.zeros_like(self.positions))
             return
         turn = matrix(after.orientation) @ matrix(before.orientation).T
-        moved = (state.x - np.array(before.position)) @ turn.T + np.array(after.position)
-        self.set_state(moved, (moved - state.x) / h)
+        moved = (self.positions - np.array(before.position)) @ turn.T + np.array(after.position)
+        self.set_state(moved, (moved - self.positions) / h)
 
     def _best_fit(self) -> Pose:
         """Frame of a free body: the rigid motion of the rest mesh nearest to the nodes, by mass."""
-        mass, x, X = self._model.mass, self._state.x, self.mesh.points
+        mass, x, X = self._model.mass, self.positions, self.mesh.points
         centre, rest_centre = (mass @ x / mass.sum(), mass @ X / mass.sum())
         turn, _ = Rotation.align_vectors(x - centre, X - rest_centre, weights=mass)
         px, py, pz = centre - turn.apply(rest_centre)
@@ -206,7 +228,8 @@ class Simulator:
     def _warm_up(self) -> None:
         """Compile or load every kernel that a run will call."""
         self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
-        stepping.step(self._model, self._state, self._rest_driven.copy(), self.scene.dt / self.scene.substeps)
+        advance(self._ready, self._rest_driven.copy(), self.scene.dt / self.scene.substeps)
+        measure_strains(self._ready)
 
 
 def _checked(pose: Pose) -> Pose:

@@ -126,11 +126,28 @@ class Body:
             K[np.ix_(index, index)] += self.volume[t] * R @ B.T @ D @ B @ R.T
         return K
 
-    def system(self, x: Array, v: Array, h: float, driven: Any = (), v_driven: Array | None = None) -> System:
+    def turning(self, limit_force: Array) -> Array:
+        """What limit forces Λ (T,) [N m] that turn with their tetrahedra add to K: 2 Λ r_a · r_b (3n, 3n)."""
+        K = np.zeros((len(self.points), len(self.points)))
+        for nodes, r, force in zip(self.tets, self.gradients, limit_force, strict=True):
+            K[np.ix_(nodes, nodes)] += 2.0 * force * r @ r.T
+        return np.kron(K, np.eye(3))
+
+    def system(
+        self,
+        x: Array,
+        v: Array,
+        h: float,
+        driven: Any = (),
+        v_driven: Array | None = None,
+        limit_force: Array | None = None,
+    ) -> System:
         """A v = b of backward Euler for the free nodes, the driven ones' velocities on the right."""
         K = self.stiffness(x)
         m = np.repeat(self.mass, 3)
         A = (1.0 + h * self.alpha) * np.diag(m) + h * (h + self.beta) * K
+        if limit_force is not None:
+            A += h * h * self.turning(limit_force)
         b = m * v.ravel() + h * (m * np.tile(self.gravity, len(self.points)) + self.forces(x).ravel())
         is_free = np.ones(len(self.points), bool)
         is_free[list(driven)] = False
@@ -194,47 +211,131 @@ def limit_rows(F: Array, limits: Any, gap: float | None = None) -> list[tuple[fl
     return rows
 
 
+def polar_strain(F: Array) -> tuple[Array, Array, Array]:
+    """E = U − I, V and s of the right stretch U = V diag(s) Vᵀ, F = R U."""
+    _, s, V = signed_svd(F)
+    return (V * (s - 1.0)) @ V.T, V, s
+
+
+def tensor_rows(F: Array, limits: Any, near: float = np.inf, coincide: float = 0.0) -> list[tuple[float, Array, float]]:
+    """(1 − λ, its ∂/∂F, |y|²) of the three eigenvalues of A⁺EA⁺ and of −A⁻EA⁻, y = A q; a side without limits: none.
+
+    Two eigenvalues above `near` and less than `coincide` apart have a row also halfway between their eigenvectors, on
+    either side. dλ = yᵀ dU y, and U dU + dU U = d(FᵀF) is solved in the eigenvectors of U.
+    """
+    E, V, s = polar_strain(F)
+    rows = []
+    for sign, bounds in ((1.0, limits.stretch), (-1.0, limits.compress)):
+        if all(bound is None for bound in bounds):
+            continue
+        A = np.diag([0.0 if bound is None else max(abs(bound - 1.0), 1e-6) ** -0.5 for bound in bounds])
+        B = sign * A @ E @ A
+        values, vectors = np.linalg.eigh(B)
+        directions = list(vectors.T)
+        for a, b in itertools.combinations(range(3), 2):
+            if min(values[a], values[b]) > near and abs(values[a] - values[b]) < coincide:
+                directions += [(vectors[:, a] + side * vectors[:, b]) / np.sqrt(2.0) for side in (1.0, -1.0)]
+        for q in directions:
+            y = A @ q
+            gradient = np.zeros((3, 3))
+            for k, l in itertools.product(range(3), range(3)):
+                dF = np.zeros((3, 3))
+                dF[k, l] = 1.0
+                dU = V @ ((V.T @ (dF.T @ F + F.T @ dF) @ V) / (s[:, None] + s[None, :])) @ V.T
+                gradient[k, l] = -sign * (y @ dU @ y)
+            rows.append((float(1.0 - q @ B @ q), gradient, float(y @ y)))
+    return rows
+
+
 @dataclasses.dataclass
 class Rows:
-    """Linearised rows of a step: g = constant + h J v + ε λ over all 3n velocities."""
+    """Linearised rows of a step: g = C + shift + h J v + ε λ over all 3n velocities."""
 
-    C: Array  # (m,)
+    C: Array  # (m,) room left, or gap
     J: Array  # (m, 3n)
     compliance: Array  # (m,)
     tet: np.ndarray[Any, np.dtype[np.int64]]  # (m,) −1: contact
+    room: Array  # (m,) C at rest of a limit; of contact: size of the tetrahedra
+    shift: Array  # (m,) −ε λ of the step before for contact, else 0
 
 
-def strain_rows(body: Body, x: Array, scene: Any, gap: float, free: Any) -> Rows:
-    """The limit rows of all tetrahedra with a free node."""
-    limits, C, J, compliance, tet = scene.limits, [], [], [], []
-    is_free = np.zeros(len(x), bool)
-    is_free[np.unique(np.asarray(free) // 3)] = True
+def rows_of(F: Array, limits: Any, gap: float, near: float, coincide: float) -> list[tuple[float, Array, float]]:
+    """(C, ∂C/∂F, room) of every row of one tetrahedron as a step has it."""
+    if limits.projection == "tensor":  # C = (1 − λ) / |y|²: the strain along y that is left
+        rows = tensor_rows(F, limits, near, coincide)
+        return [(C / size, dC_dF / size, 1.0 / size) for C, dC_dF, size in rows if size > 0.0]
+    return [(C, dC_dF, room) for (C, dC_dF, _), room in zip(limit_rows(F, limits, gap), _rooms(F, limits), strict=True)]
+
+
+def _rooms(F: Array, limits: Any) -> list[float]:
+    out = []
+    for s in signed_svd(F)[1]:
+        bounds = limits.stretch if s >= 1.0 else limits.compress
+        out += [
+            abs(bounds[j] - 1.0) for j in range(1 if limits.projection == "isotropic" else 3) if bounds[j] is not None
+        ]
+    return out
+
+
+def strain_rows(
+    body: Body, x: Array, scene: Any, free: Any, h: float, gap: float, near: float, coincide: float
+) -> Rows:
+    """The limit rows of all tetrahedra with a free node.
+
+    A row gives by 1/k, k the larger one of κ E V and of limits.inertia times the inertia h² / (J M⁻¹ Jᵀ) that its free
+    nodes have within a step; with stiffness null by nothing.
+    """
+    limits, parts = scene.limits, []
+    moves = np.zeros(x.size)
+    moves[np.asarray(free)] = 1.0
     for t, F in enumerate(body.deformation(x)):
         nodes = body.tets[t]
-        if not is_free[nodes].any():
+        if not moves.reshape(-1, 3)[nodes].any():
             continue
-        for value, dC_dF, _ in limit_rows(F, limits, gap):
+        for value, dC_dF, room in rows_of(F, limits, gap, near, coincide):
             row = np.zeros((len(x), 3))
             row[nodes] = body.gradients[t] @ dC_dF.T
-            C.append(value)
-            J.append(row.ravel())
-            stiffness = limits.stiffness
-            compliance.append(0.0 if stiffness is None else 1.0 / (stiffness * scene.material.young * body.volume[t]))
-            tet.append(t)
-    return Rows(np.array(C), np.array(J).reshape(-1, x.size), np.array(compliance), np.array(tet, np.int64))
+            J = row.ravel()
+            if moves @ J**2 < 1e-16 / np.cbrt(body.volume[t]) ** 2:
+                continue  # nothing can move it
+            soft = 0.0
+            if limits.stiffness is not None:
+                inertia = 1.0 / (J @ (moves * J / np.repeat(body.mass, 3))) / h**2
+                soft = 1.0 / max(limits.stiffness * scene.material.young * body.volume[t], limits.inertia * inertia)
+            parts.append((value, J, soft, t, room, 0.0))
+    return _rows(parts, x.size)
 
 
-def normal_rows(body: Body, x: Array, scene: Any, nodes: Any) -> Rows:
-    """One row φ + h n·v ≥ 0 for each of `nodes`."""
-    plane = scene.plane
-    normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
-    J = np.zeros((len(nodes), len(x), 3))
-    J[np.arange(len(nodes)), nodes] = normal
-    length = np.cbrt(body.volume.mean())
-    stiffness = plane.stiffness
-    compliance = 0.0 if stiffness is None else 1.0 / (stiffness * scene.material.young * length)
-    phi = (x[nodes] - np.array(plane.point)) @ normal
-    return Rows(phi, J.reshape(len(nodes), -1), np.full(len(nodes), compliance), np.full(len(nodes), -1))
+def _rows(parts: list[Any], size: int) -> Rows:
+    C, J, compliance, tet, room, shift = ([p[k] for p in parts] for k in range(6))
+    J = np.array(J).reshape(-1, size)
+    return Rows(np.array(C), J, np.array(compliance), np.array(tet, np.int64), np.array(room), np.array(shift))
+
+
+def contact_compliance(body: Body, scene: Any, node: int, h: float) -> float:
+    """ε of a node's contact [m/N]: 1 / (κ E V^⅓), but no more than h² / (30 m)."""
+    if scene.plane.stiffness is None:
+        return 0.0
+    stiffness = scene.plane.stiffness * scene.material.young * np.cbrt(body.volume.mean())
+    return float(min(1.0 / stiffness, h**2 / (30.0 * body.mass[node])))
+
+
+def contact_rows(body: Body, x: Array, scene: Any, nodes: Any, before: Array, h: float, tangents: bool) -> Rows:
+    """φ + h n·v + ε (λ_n − λ_n⁰) ≥ 0 for each of `nodes`, and with `tangents` h t·v + ε (λ_t − λ_t⁰) for two of them.
+
+    before (n, 3): the plane's force on each node in the step before [N].
+    """
+    n = np.array(scene.plane.normal) / np.linalg.norm(scene.plane.normal)
+    across = np.linalg.svd(n[None])[2][1:]  # any two will do
+    parts = []
+    for node in nodes:
+        soft = contact_compliance(body, scene, node, h)
+        for axis, d in enumerate([n, *(across if tangents else ())]):
+            J = np.zeros((len(x), 3))
+            J[node] = d
+            gap = (x[node] - np.array(scene.plane.point)) @ n if axis == 0 else 0.0
+            parts.append((gap, J.ravel(), soft, -1, np.cbrt(body.volume.mean()), -soft * (before[node] @ d)))
+    return _rows(parts, x.size)
 
 
 def joined(*parts: Rows) -> Rows:

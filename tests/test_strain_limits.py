@@ -277,26 +277,46 @@ def test_rigid_limits_hold_a_hanging_beam() -> None:
 
 
 def test_compliant_limits_approach_rigid_ones() -> None:
-    """Overshoot falls with κ: each tenfold stiffness leaves at most a third of it."""
-    overshoot = []
-    for stiffness in (3.0, 30.0, 300.0):
-        limits = {"projection": "isotropic", "stretch": 1.04, "compress": 0.96, "stiffness": stiffness}
-        sim = Simulator(
-            beam_scene(
-                (1.0, 0.2, 0.2),
-                (5, 1, 1),
-                young=1e4,
-                dt=0.01,
-                limits=limits,
-                driven="base",
-                gravity=[9.81, 0, 0],
-                damping=(0.0, 0.05),
-            )
-        )
-        overshoot.append(run(sim, 300).max_strain_ratio - 1.0)
+    """Overshoot falls with κ: each tenfold stiffness leaves at most a third of it (stiffness alone: no inertia)."""
+    overshoot = [overshoot_at_rest(stiffness, 0.0) for stiffness in (3.0, 30.0, 300.0)]
     assert overshoot[0] > 0.1
     assert overshoot[1] < overshoot[0] / 3.0
     assert overshoot[2] < overshoot[1] / 3.0
+
+
+def test_limits_are_stiff_against_inertia() -> None:
+    """However soft κ is, a limit is as stiff as `limits.inertia` asks: overshoot falls as its inverse, apart from κ."""
+    overshoot = [overshoot_at_rest(1e-3, inertia) for inertia in (10.0, 30.0, 100.0)]
+    assert 0.01 < overshoot[0] < 0.2
+    assert overshoot[1] == pytest.approx(overshoot[0] / 3.0, rel=0.15)
+    assert overshoot[2] == pytest.approx(overshoot[0] / 10.0, rel=0.15)
+    assert overshoot_at_rest(0.1, 30.0) == pytest.approx(overshoot[1], rel=1e-6)
+    assert overshoot_at_rest(1e5, 30.0) < 0.1 * overshoot[1]
+
+
+def overshoot_at_rest(stiffness: float, inertia: float) -> float:
+    """strain/limit − 1 of a hanging beam that its own weight would stretch by half."""
+    limits = {
+        "projection": "isotropic",
+        "stretch": 1.04,
+        "compress": 0.96,
+        "stiffness": stiffness,
+        "inertia": inertia,
+    }
+    sim = Simulator(
+        beam_scene(
+            (1.0, 0.2, 0.2),
+            (5, 1, 1),
+            young=1e4,
+            dt=0.01,
+            limits=limits,
+            driven="base",
+            gravity=[9.81, 0, 0],
+            damping=(0.0, 0.05),
+            solver={"tolerance": 1e-6, "max_iterations": 20_000},
+        )
+    )
+    return run(sim, 300).max_strain_ratio - 1.0
 
 
 def test_a_free_axis_stretches_and_a_limited_one_does_not() -> None:

@@ -60,7 +60,12 @@ def stage(function: Function) -> Function:
     return _compiled(function, called_from_python=False)
 
 
-def _compiled(function: Function, called_from_python: bool) -> Function:
+def formula(function: Function) -> Function:
+    """A `stage` that is compiled into each of its callers: for a few lines on lanes, which no call should interrupt."""
+    return _compiled(function, called_from_python=False, inline=True)
+
+
+def _compiled(function: Function, called_from_python: bool, inline: bool = False) -> Function:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = cache_folder()
     try:
@@ -71,6 +76,7 @@ def _compiled(function: Function, called_from_python: bool) -> Function:
             fastmath=FASTMATH,
             no_cfunc_wrapper=True,
             no_cpython_wrapper=not called_from_python,
+            forceinline=inline,
         )(function)
     finally:
         numba.config.CACHE_DIR = before

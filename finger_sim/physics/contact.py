@@ -1,7 +1,10 @@
 """Contact of surface nodes with a plane, and Coulomb's cone.
 
 Gap φ = n · (x − p), negative inside the plane, n the outward unit normal. Rows of a node, in this order:
-normal φ + h n·v + λ_n / k_n ≥ 0 ⊥ λ_n ≥ 0, and two tangents h t·v with |λ_t| ≤ μ λ_n, opposing slip.
+normal φ + h n·v + (λ_n − λ_n⁰) / k ≥ 0 ⊥ λ_n ≥ 0, and two tangents h t·v + (λ_t − λ_t⁰) / k with |λ_t| ≤ μ λ_n,
+opposing slip. λ⁰ is the force of the step before: a contact is a spring only while its force changes, so that a soft
+one neither sinks in nor creeps (the method of multipliers, one iteration a step). That is stable where k exceeds the
+inertia m / h² of the node: k is kept at or above _INERTIA times it. k = ∞ (model.contact_compliance 0): rigid.
 The force of the plane on the node is n λ_n + t₁ λ_t1 + t₂ λ_t2 [N], world axes.
 """
 
@@ -14,39 +17,50 @@ from .compile import stage
 if TYPE_CHECKING:
     from .model import Model, State
 
+_INERTIA = 30.0
 _MARGIN = 0.03  # nodes nearer than this part of the tetrahedra's size get rows: they may be pushed in
 
 
 @stage
-def contact_rows(model: Model, state: State, h: float, rows: int) -> int:
-    """Append three rows for every free surface node that can reach the plane in this step; return the number of rows.
+def contact_rows(model: Model, state: State, h: float) -> int:
+    """Three rows, from the first on, for every free surface node that can reach the plane in this step; their number.
 
     -1 when the arrays hold no more rows.
     """
     frame, point = model.plane_frame, model.plane_point
     margin = _MARGIN * model.length
-    for c in range(model.contact_nodes.shape[0]):
-        node = model.contact_nodes[c]
-        x, v, warm = state.x[node], state.v[node], state.contact_force[node]
+    nodes, slots, mobility = model.contact_nodes, model.slot, model.mobility
+    positions, velocities, forces = state.x, state.v, state.contact_force
+    J, row_slot, row_tet, constant = state.J, state.row_slot, state.row_tet, state.constant
+    compliances, scale, lam = state.compliance, state.scale, state.lam
+    moving = state.moving
+    nf, rows = model.free.shape[0], 0
+    for c in range(nodes.shape[0]):
+        node = nodes[c]
+        x, v, w, warm = positions[node], velocities[node], moving[node], forces[node]
         gap = frame[0, 0] * (x[0] - point[0]) + frame[0, 1] * (x[1] - point[1]) + frame[0, 2] * (x[2] - point[2])
-        ahead = gap + h * (frame[0, 0] * v[0] + frame[0, 1] * v[1] + frame[0, 2] * v[2])
+        ahead = gap + h * (frame[0, 0] * w[0] + frame[0, 1] * w[1] + frame[0, 2] * w[2])
         if gap > margin and ahead > margin:
             continue
-        if rows + 3 > state.lam.shape[0]:
+        if rows + 3 > lam.shape[0]:
             return -1
+        slot = slots[node]
+        compliance = min(model.contact_compliance, h * h * mobility[slot] / _INERTIA)
         for axis in range(3):
             d = frame[axis]
-            state.row_slot[rows, 0] = model.slot[node]
+            row_slot[rows, 0] = slot
             for k in range(3):
-                state.row_slot[rows, k + 1] = -1
-                state.J[rows, 0, k] = d[k]
+                row_slot[rows, k + 1] = nf
+                J[rows, 0, k] = d[k]
                 for n in range(1, 4):
-                    state.J[rows, n, k] = 0.0
-            state.row_tet[rows] = -1 - node
-            state.constant[rows] = ahead if axis == 0 else h * (d[0] * v[0] + d[1] * v[1] + d[2] * v[2])
-            state.compliance[rows] = model.contact_compliance if axis == 0 else 0.0
-            state.scale[rows] = 1.0
-            state.lam[rows] = d[0] * warm[0] + d[1] * warm[1] + d[2] * warm[2]
+                    J[rows, n, k] = 0.0
+            row_tet[rows] = -1 - node
+            before = d[0] * warm[0] + d[1] * warm[1] + d[2] * warm[2]
+            reach = ahead if axis == 0 else h * (d[0] * v[0] + d[1] * v[1] + d[2] * v[2])
+            constant[rows] = reach - compliance * before
+            compliances[rows] = compliance
+            scale[rows] = 1.0
+            lam[rows] = before
             rows += 1
     return rows
 
@@ -54,20 +68,18 @@ def contact_rows(model: Model, state: State, h: float, rows: int) -> int:
 @stage
 def store_contact(model: Model, state: State, contact_rows: int) -> int:
     """Node forces of this step into state.contact_force, their wrench into state.wrench; how many nodes carry one."""
-    state.contact_force[:] = 0.0
-    wrench = state.wrench
+    forces, positions, lam, row_tet, wrench = state.contact_force, state.x, state.lam, state.row_tet, state.wrench
+    forces[:] = 0.0
     wrench[:] = 0.0
     frame, origin = model.plane_frame, state.origin
     contacts = 0
     for row in range(0, contact_rows, 3):
-        node = -1 - state.row_tet[row]
-        if state.lam[row] > 0.0:
+        node = -1 - row_tet[row]
+        if lam[row] > 0.0:
             contacts += 1
-            f, x = state.contact_force[node], state.x[node]
+            f, x = forces[node], positions[node]
             for k in range(3):
-                f[k] = (
-                    frame[0, k] * state.lam[row] + frame[1, k] * state.lam[row + 1] + frame[2, k] * state.lam[row + 2]
-                )
+                f[k] = frame[0, k] * lam[row] + frame[1, k] * lam[row + 1] + frame[2, k] * lam[row + 2]
                 wrench[k] += f[k]
             a, b, c = x[0] - origin[0], x[1] - origin[1], x[2] - origin[2]
             wrench[3] += b * f[2] - c * f[1]
@@ -79,10 +91,10 @@ def store_contact(model: Model, state: State, contact_rows: int) -> int:
 @stage
 def deepest(model: Model, state: State) -> float:
     """Largest penetration of any surface node, driven ones too, at the state's positions [m], 0 when none."""
-    frame, point = model.plane_frame, model.plane_point
+    frame, point, nodes, positions = model.plane_frame, model.plane_point, model.surface_nodes, state.x
     deepest = 0.0
-    for c in range(model.surface_nodes.shape[0]):
-        x = state.x[model.surface_nodes[c]]
+    for c in range(nodes.shape[0]):
+        x = positions[nodes[c]]
         gap = frame[0, 0] * (x[0] - point[0]) + frame[0, 1] * (x[1] - point[1]) + frame[0, 2] * (x[2] - point[2])
         deepest = max(deepest, -gap)
     return deepest

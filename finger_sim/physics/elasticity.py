@@ -1,132 +1,155 @@
 """Corotational linear elasticity (Müller & Gross 2004), linearised once a step: the matrix A and the right-hand side.
 
-With R = U Vᵀ and the small strain ε = sym(RᵀF) − I = V (S − I) Vᵀ in material axes,
+With the polar decomposition F = R U and the Biot strain E = U − I in material axes,
 
-    P = R (2 μ ε + λ tr ε I) = U (2 μ (S − I) + λ tr(S − I) I) Vᵀ,    f_n = −vol P r_n,
-    K_ab = vol (λ g_a g_bᵀ + μ g_b g_aᵀ + μ (g_a · g_b) I),           g_n = R r_n.
+    P = R (2 μ E + λ tr E I),    f_n = −vol P r_n,
+    K_ab = vol (λ g_a g_bᵀ + μ g_b g_aᵀ + μ (g_a · g_b) I),    g_n = R r_n.
 
 Backward Euler with f(x + h v) ≈ f(x) − h K v (Baraff & Witkin 1998), M lumped, Rayleigh D = α M + β K:
 
     A v = b,    A = (1 + h α) M + h (h + β) K,    b = M v₀ + h (M g + f(x)).
 
-Driven nodes are no unknowns: their velocity enters as the stress h (h + β) ∂P/∂F : Ḟ_driven on the right.
+Under the `tensor` limit, the limit forces Λ = Σ λ of a tetrahedron (of the last step) turn with it. The stiffness of
+that need not be positive, but its size is about Λ r_a · r_b; twice so much is added to h² K, where it acts as a
+viscosity h Λ / vol: nothing at rest, and an end to the chatter where limits are pressed beyond what they can hold.
+
+g_a · g_b = r_a · r_b does not turn: that part of A is known beforehand (Model.laplace). Driven nodes are no unknowns:
+their velocity enters as the strain (h + β) sym(RᵀḞ_driven) that it gives their tetrahedra within the step.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..arrays import Floats, Ints
-from .compile import kernel
+from .compile import stage
+from .kinematics import edges_times
+from .lanes import add3, gather3, load4, load8, scatter3, splat8, store4
+from .polar import load_matrix, transposed_times
+from .vectors import add, clear, copy, subtract_product
+
+_TURNING = 2.0  # of Λ r_a · r_b: 1 leaves a chatter of newtons in the hardest presses, 4 has no further use
 
 if TYPE_CHECKING:
     from .model import Model, State
 
 
-@kernel
-def assemble(model: Model, state: State, h: float) -> None:
-    """A into state.A_diagonal, A_lower (blocks, slot order) and b into state.rhs (nf, 3).
+@stage
+def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> None:
+    """A into state.A (if `anew`) and b into state.rhs (slot order).
 
     state.v holds the velocities of the step's start on free nodes and those of this step on driven ones [m/s].
+    `again`: state.x is an estimate x₀ + h v* of the step's end, v* in state.v and v₀ in state.v_start; then, with f and
+    K taken there, b = M v₀ + h (M g + f(x)) + h² K v*.
     """
-    A_diagonal, A_lower, rhs, G, P = state.A_diagonal, state.A_lower, state.rhs, state.G, state.P
-    A_lower[:] = 0.0
-    mass_factor = 1.0 + h * model.damping_mass
-    for k in range(rhs.shape[0]):
-        n = model.free[k]
-        mass = model.mass[n]
+    rhs, free, masses, gravity = state.rhs, model.free, model.mass, model.gravity
+    if model.relinearizations > 0 and not again:
+        copy(state.v_start, state.v)
+    v = state.v_start if again else state.v
+    rhs[-1] = 0.0
+    for k in range(free.shape[0]):
+        n = free[k]
+        mass = masses[n]
         for i in range(3):
-            for j in range(3):
-                A_diagonal[k, i, j] = 0.0
-            A_diagonal[k, i, i] = mass_factor * mass
-            rhs[k, i] = mass * (state.v[n, i] + h * model.gravity[i])
-    stiffness_factor = h * (h + model.damping_stiffness)
-    lame_lambda, lame_mu = model.lame_lambda, model.lame_mu
-    for t in range(model.tets.shape[0]):
-        U, s, V, r = state.U[t], state.s[t], state.V[t], model.gradients[t]
-        volume = model.volume[t]
-        trace = s[0] + s[1] + s[2] - 3.0
-        p0 = 2.0 * lame_mu * (s[0] - 1.0) + lame_lambda * trace
-        p1 = 2.0 * lame_mu * (s[1] - 1.0) + lame_lambda * trace
-        p2 = 2.0 * lame_mu * (s[2] - 1.0) + lame_lambda * trace
-        for i in range(3):
-            for j in range(3):
-                P[i, j] = h * (U[i, 0] * p0 * V[j, 0] + U[i, 1] * p1 * V[j, 1] + U[i, 2] * p2 * V[j, 2])
-        for n in range(4):
-            a0 = V[0, 0] * r[n, 0] + V[1, 0] * r[n, 1] + V[2, 0] * r[n, 2]
-            a1 = V[0, 1] * r[n, 0] + V[1, 1] * r[n, 1] + V[2, 1] * r[n, 2]
-            a2 = V[0, 2] * r[n, 0] + V[1, 2] * r[n, 1] + V[2, 2] * r[n, 2]
-            for i in range(3):
-                G[n, i] = U[i, 0] * a0 + U[i, 1] * a1 + U[i, 2] * a2
-        if model.touches_driven[t]:
-            _add_driven_stress(
-                model.tets[t],
-                model.tet_slot[t],
-                state.v,
-                U,
-                V,
-                G,
-                state.D,
-                stiffness_factor * lame_lambda,
-                stiffness_factor * lame_mu,
-                P,
+            rhs[k, i] = mass * (v[n, i] + h * gravity[i])
+    beta = model.damping_stiffness
+    stresses(model, state, h, beta if again else h + beta)
+    if anew:
+        matrix(model, state, h)
+    if again:
+        w, product, part = state.slot_velocity, state.slot_product, h / (h + beta)
+        slot_velocities(model, state)
+        clear(product)
+        subtract_product(model.block_row, model.block_column, state.A, w, product)
+        add(rhs, rhs, product, -part)
+        for k in range(free.shape[0]):
+            mass = part * (1.0 + h * model.damping_mass) * masses[free[k]]
+            store4(rhs, k, 0, load4(rhs, k, 0) - load4(w, k, 0) * mass)
+
+
+@stage
+def slot_velocities(model: Model, state: State) -> None:
+    """state.v of the free nodes, in slot order, into state.slot_velocity."""
+    w, v, free = state.slot_velocity, state.v, model.free
+    for k in range(free.shape[0]):
+        store4(w, k, 0, load4(v, free[k], 0))
+
+
+@stage
+def stresses(model: Model, state: State, h: float, lead: float) -> None:
+    """Add h f(x) to state.rhs, driven nodes going on for `lead` [s]; state.g = R r_n for `matrix`."""
+    r, two_mu, lame_lambda = model.lane_gradients, 2.0 * model.lame_mu, model.lame_lambda
+    rotations, strains, volumes, slots, nodes = state.R, state.E, model.lane_volume, model.lane_slot, model.lane_node
+    driven, w, rhs, g = model.lane_driven, state.driven_velocity, state.rhs, state.g
+    limit_force = state.limit_force
+    follows = limit_force.shape[0] > 0
+    for b in range(rotations.shape[0]):
+        f0 = f1 = f2 = f3 = f4 = f5 = f6 = f7 = f8 = splat8(0.0)  # turning stiffness at driven nodes, times Ḟ_driven
+        R = load_matrix(rotations, b)
+        e0, e1, e2 = load8(strains, b, 0), load8(strains, b, 1), load8(strains, b, 2)
+        e3, e4, e5 = load8(strains, b, 3), load8(strains, b, 4), load8(strains, b, 5)
+        if driven[b]:
+            x4, y4, z4 = gather3(w, nodes, b, 3)
+            x1, y1, z1 = gather3(w, nodes, b, 0)
+            x2, y2, z2 = gather3(w, nodes, b, 1)
+            x3, y3, z3 = gather3(w, nodes, b, 2)
+            rate = edges_times(
+                (x1 - x4, y1 - y4, z1 - z4), (x2 - x4, y2 - y4, z2 - z4), (x3 - x4, y3 - y4, z3 - z4), r, b
             )
-        for a in range(4):
-            k = model.tet_slot[t, a]
-            if k < 0:
-                continue
-            for i in range(3):
-                rhs[k, i] -= volume * (P[i, 0] * r[a, 0] + P[i, 1] * r[a, 1] + P[i, 2] * r[a, 2])
-        w_lambda, w_mu = stiffness_factor * volume * lame_lambda, stiffness_factor * volume * lame_mu
-        for e in range(10):
-            block = model.tet_block[t, e]
-            if block == -1:
-                continue
-            a, b = model.pair_row[t, e], model.pair_column[t, e]
-            a0, a1, a2, b0, b1, b2 = G[a, 0], G[a, 1], G[a, 2], G[b, 0], G[b, 1], G[b, 2]
-            dot = w_mu * (a0 * b0 + a1 * b1 + a2 * b2)
-            B = A_lower[block] if a != b else A_diagonal[block]
-            B[0, 0] += w_lambda * a0 * b0 + w_mu * b0 * a0 + dot
-            B[0, 1] += w_lambda * a0 * b1 + w_mu * b0 * a1
-            B[0, 2] += w_lambda * a0 * b2 + w_mu * b0 * a2
-            B[1, 0] += w_lambda * a1 * b0 + w_mu * b1 * a0
-            B[1, 1] += w_lambda * a1 * b1 + w_mu * b1 * a1 + dot
-            B[1, 2] += w_lambda * a1 * b2 + w_mu * b1 * a2
-            B[2, 0] += w_lambda * a2 * b0 + w_mu * b2 * a0
-            B[2, 1] += w_lambda * a2 * b1 + w_mu * b2 * a1
-            B[2, 2] += w_lambda * a2 * b2 + w_mu * b2 * a2 + dot
+            d0, d1, d2, d3, d4, d5, d6, d7, d8 = transposed_times(R, rate)
+            e0, e1, e2 = e0 + lead * d0, e1 + lead * d4, e2 + lead * d8
+            e3, e4, e5 = e3 + 0.5 * lead * (d5 + d7), e4 + 0.5 * lead * (d2 + d6), e5 + 0.5 * lead * (d1 + d3)
+            if follows:
+                w0 = load8(limit_force, b, 0) * (-_TURNING * h * h)
+                f0, f1, f2, f3, f4, f5, f6, f7, f8 = rate
+                f0, f1, f2, f3, f4 = w0 * f0, w0 * f1, w0 * f2, w0 * f3, w0 * f4
+                f5, f6, f7, f8 = w0 * f5, w0 * f6, w0 * f7, w0 * f8
+        impulse = -h * load8(volumes, b, 0)
+        pressure = lame_lambda * (e0 + e1 + e2)
+        s0, s1, s2 = (
+            impulse * (two_mu * e0 + pressure),
+            impulse * (two_mu * e1 + pressure),
+            impulse * (two_mu * e2 + pressure),
+        )
+        s3, s4, s5 = impulse * (two_mu * e3), impulse * (two_mu * e4), impulse * (two_mu * e5)
+        r0, r1, r2, r3, r4, r5, r6, r7, r8 = R
+        for n in range(4):
+            a, c, d = load8(r, b, 3 * n), load8(r, b, 3 * n + 1), load8(r, b, 3 * n + 2)
+            t0, t1, t2 = s0 * a + s5 * c + s4 * d, s5 * a + s1 * c + s3 * d, s4 * a + s3 * c + s2 * d
+            x, y, z = f0 * a + f1 * c + f2 * d, f3 * a + f4 * c + f5 * d, f6 * a + f7 * c + f8 * d
+            x, y, z = (
+                x + (r0 * t0 + r1 * t1 + r2 * t2),
+                y + (r3 * t0 + r4 * t1 + r5 * t2),
+                z + (r6 * t0 + r7 * t1 + r8 * t2),
+            )
+            add3(rhs, slots, b, n, x, y, z)
+            scatter3(g, b, n, r0 * a + r1 * c + r2 * d, r3 * a + r4 * c + r5 * d, r6 * a + r7 * c + r8 * d)
 
 
-@kernel
-def _add_driven_stress(
-    nodes: Ints,
-    slots: Ints,
-    v: Floats,
-    U: Floats,
-    V: Floats,
-    G: Floats,
-    D: Floats,
-    w_lambda: float,
-    w_mu: float,
-    P: Floats,
-) -> None:
-    """P += ∂P/∂F : Ḟ, weighted, for the velocity gradient Ḟ that the driven nodes alone give a tetrahedron.
-
-    In world axes D = Σ v_n g_nᵀ = Ḟ Rᵀ, so that R sym(RᵀḞ) = sym(D) R. D (3, 3) scratch.
-    """
-    D[:] = 0.0
-    for n in range(4):
-        if slots[n] < 0:
-            w = v[nodes[n]]
-            for i in range(3):
-                for j in range(3):
-                    D[i, j] += w[i] * G[n, j]
-    pressure = w_lambda * (D[0, 0] + D[1, 1] + D[2, 2])
-    for i in range(3):
-        e0 = w_mu * (D[i, 0] + D[0, i]) + (pressure if i == 0 else 0.0)
-        e1 = w_mu * (D[i, 1] + D[1, i]) + (pressure if i == 1 else 0.0)
-        e2 = w_mu * (D[i, 2] + D[2, i]) + (pressure if i == 2 else 0.0)
-        for k in range(3):
-            e = e0 * U[0, k] + e1 * U[1, k] + e2 * U[2, k]
+@stage
+def matrix(model: Model, state: State, h: float) -> None:
+    """A of the rotations that state.g has."""
+    A, g, free, mass, laplace = state.A, state.g, model.free, model.mass, model.laplace
+    assembly, volume, lame_lambda, lame_mu = model.assembly, model.volume, model.lame_lambda, model.lame_mu
+    weight = h * (h + model.damping_stiffness)
+    inertia = 1.0 + h * model.damping_mass
+    nf = free.shape[0]
+    for k in range(A.shape[0]):
+        same = weight * lame_mu * laplace[k]
+        if k < nf:
+            same += inertia * mass[free[k]]
+        A[k] = 0.0
+        A[k, 0, 0] = A[k, 1, 1] = A[k, 2, 2] = same
+    limit_force, dot = state.limit_force, model.assembly_dot
+    follows = limit_force.shape[0] > 0
+    for k in range(assembly.shape[0]):
+        t, row, column, block = assembly[k, 0], assembly[k, 1], assembly[k, 2], assembly[k, 3]
+        stiff = weight * volume[t]
+        w_lambda, w_mu = stiff * lame_lambda, stiff * lame_mu
+        a, b = load4(g, t, row), load4(g, t, column)
+        a_lambda, b_mu = a * w_lambda, b * w_mu
+        for j in range(3):
+            store4(A, block, j, load4(A, block, j) + (a_lambda * g[t, column, j] + b_mu * g[t, row, j]))
+        if follows and limit_force[t // 8, t % 8] > 0.0:
+            turning = _TURNING * h * h * limit_force[t // 8, t % 8] * dot[k]
             for j in range(3):
-                P[i, j] += e * V[j, k]
+                A[block, j, j] += turning

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..arrays import Floats, Ints
-from .compile import kernel
+from .compile import formula, kernel, stage
+from .lanes import bits, gather3, load8, store8
+from .polar import Matrix, Vector, polar, store_matrix
 
 if TYPE_CHECKING:
     from .model import Model, State
@@ -148,8 +150,51 @@ def _normalise(U: Floats, p: int, q: int, s: Floats) -> None:
         U[i, q] /= length
 
 
-@kernel
+@stage
 def kinematics(model: Model, state: State) -> None:
-    """F and its signed SVD for every tetrahedron, at the state's positions. Writes state.F, U, s, V."""
-    deformation_gradient(model.tets, model.gradients, state.x, state.F)
-    signed_svds(state.F, state.U, state.s, state.V, state.columns, state.turn)
+    """R and Biot strain E of every tetrahedron at the state's positions; F = U diag(s) Vᵀ where a projection needs it.
+
+    Writes state.R, E, quaternion, and state.F, U, s, V for limits on principal stretches.
+    """
+    scratch = state.turn.reshape(-1)[:32].reshape((2, 4, 4))
+    x, r, nodes = state.x, model.lane_gradients, model.lane_node
+    rotations, strains, quaternion = state.R, state.E, state.quaternion
+    inverted = 0
+    for b in range(rotations.shape[0]):
+        x4, y4, z4 = gather3(x, nodes, b, 3)
+        x1, y1, z1 = gather3(x, nodes, b, 0)
+        x2, y2, z2 = gather3(x, nodes, b, 1)
+        x3, y3, z3 = gather3(x, nodes, b, 2)
+        F = edges_times((x1 - x4, y1 - y4, z1 - z4), (x2 - x4, y2 - y4, z2 - z4), (x3 - x4, y3 - y4, z3 - z4), r, b)
+        f0, f1, f2, f3, f4, f5, f6, f7, f8 = F
+        det = f0 * (f4 * f8 - f5 * f7) + f1 * (f5 * f6 - f3 * f8) + f2 * (f3 * f7 - f4 * f6)
+        inverted += bits(det < 0.0) != 0
+        R, U = polar(F, quaternion, b, scratch)
+        store_matrix(rotations, b, R)
+        u00, u01, u02, u10, u11, u12, u20, u21, u22 = U
+        store8(strains, b, 0, u00 - 1.0)
+        store8(strains, b, 1, u11 - 1.0)
+        store8(strains, b, 2, u22 - 1.0)
+        store8(strains, b, 3, 0.5 * (u12 + u21))
+        store8(strains, b, 4, 0.5 * (u02 + u20))
+        store8(strains, b, 5, 0.5 * (u01 + u10))
+    state.inverted[0] = inverted
+    if state.F.shape[0] > 0:
+        deformation_gradient(model.tets, model.gradients, state.x, state.F)
+        signed_svds(state.F, state.U, state.s, state.V, state.columns, state.turn)
+
+
+@formula
+def edges_times(d1: Vector, d2: Vector, d3: Vector, gradients: Floats, b: int) -> Matrix:
+    """Σ d_n r_nᵀ, by rows, of edges d_n = w_n − w_4: F of positions (Eq. 3), Ḟ of velocities."""
+    a0, a1, a2 = d1
+    b0, b1, b2 = d2
+    c0, c1, c2 = d3
+    r0, r1, r2 = load8(gradients, b, 0), load8(gradients, b, 1), load8(gradients, b, 2)
+    s0, s1, s2 = load8(gradients, b, 3), load8(gradients, b, 4), load8(gradients, b, 5)
+    t0, t1, t2 = load8(gradients, b, 6), load8(gradients, b, 7), load8(gradients, b, 8)
+    return (
+        a0 * r0 + b0 * s0 + c0 * t0, a0 * r1 + b0 * s1 + c0 * t1, a0 * r2 + b0 * s2 + c0 * t2,
+        a1 * r0 + b1 * s0 + c1 * t0, a1 * r1 + b1 * s1 + c1 * t1, a1 * r2 + b1 * s2 + c1 * t2,
+        a2 * r0 + b2 * s0 + c2 * t0, a2 * r1 + b2 * s1 + c2 * t1, a2 * r2 + b2 * s2 + c2 * t2,
+    )  # fmt: skip

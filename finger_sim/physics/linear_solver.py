@@ -1,8 +1,12 @@
 """Sparse block LDLᵀ of a symmetric positive definite matrix of 3 × 3 blocks: ordered once, factored each step.
 
-A = L D Lᵀ with L unit lower triangular, in an elimination order found once by minimum degree (on A's graph).
-Block row and column numbers below are positions in that order ("slots"). See Davis, *Direct Methods for Sparse
-Linear Systems*, ch. 4 and 7.
+A = L D Lᵀ with L unit lower triangular, in an elimination order found once by minimum degree (on A's graph) and
+put into postorder. Block row and column numbers below are positions in that order ("slots"). See Davis, *Direct
+Methods for Sparse Linear Systems*, ch. 4 and 7.
+
+A *panel* is a run of neighbouring columns with the same rows below it (a fundamental supernode, or a part of one).
+Its columns are finished one after the other, then everything they subtract from the columns of their rows is summed
+in registers, two rows by two columns of blocks at a time: each block is read and written once for a whole panel.
 """
 
 from __future__ import annotations
@@ -15,9 +19,12 @@ import scipy.sparse.linalg
 
 from ..arrays import Floats, Ints
 from .compile import kernel
+from .lanes import Lanes, aligned, fill4, lane, load4, splat4, store4, sums3
 
 NODE_LANES = 16  # right-hand sides solved together are those of so many nodes:
 LANES = 3 * NODE_LANES  # a fixed, contiguous inner loop that vectorises
+
+WIDEST = 8  # columns of a panel: two rows and two columns of it are read from the first cache again and again
 
 
 class Pattern(NamedTuple):
@@ -27,29 +34,34 @@ class Pattern(NamedTuple):
     slot: Ints  # (nf,) slot of each graph node
     start: Ints  # (nf + 1,) first block of each column of L
     row: Ints  # (nnz,) slot of each block's row, ascending in a column
-    target: Ints  # (updates,) block that each off-diagonal update of the factorisation subtracts from
+    panel: Ints  # (panels + 1,) first column of each panel
+    target: Ints  # (updates,) the off-diagonal blocks that `factor` subtracts from, in its order
+    work: Floats  # (most blocks in a panel, 3, 4) L D of the panel that `factor` is at
 
 
 def analyse(edges: Ints, nodes: int) -> Pattern:
     """Elimination order and fill for the graph with the given edges, (k, 2), over `nodes` nodes."""
     order = _minimum_degree(edges, nodes)
-    slot = np.empty(nodes, np.int64)
-    slot[order] = np.arange(nodes)
-    below: list[set[int]] = [set() for _ in range(nodes)]
-    for a, b in slot[edges.reshape(-1, 2)]:
-        if a != b:
-            below[min(a, b)].add(int(max(a, b)))
-    columns = []
-    for k in range(nodes):
-        column = sorted(below[k])
-        columns.append(column)
-        if column:
-            below[column[0]].update(column[1:])
-    start = np.concatenate([[0], np.cumsum([len(c) for c in columns])]).astype(np.int64)
-    position = [{r: int(start[k]) + i for i, r in enumerate(c)} for k, c in enumerate(columns)]
-    target = [position[c[b]][c[a]] for c in columns for a in range(len(c) - 1, -1, -1) for b in range(a)]
-    row = np.array([r for c in columns for r in c], np.int64)
-    return Pattern(order.astype(np.int64), slot, start, row, np.array(target, np.int64))
+    below = _fill(edges, order)
+    post = _postorder(below)
+    order, place = order[post], _inverse(post)
+    columns = [np.sort(place[list(below[k])]) if below[k] else np.empty(0, np.int64) for k in post]
+    lengths = np.array([len(c) for c in columns], np.int64)
+    start = np.concatenate([[0], np.cumsum(lengths)])
+    row = np.concatenate([*columns, np.empty(0, np.int64)])
+    panel = _panels(columns)
+    rows_below = [columns[last - 1] for last in panel[1:]]
+    wanted = np.concatenate([_updates(rows, nodes) for rows in rows_below] + [np.empty(0, np.int64)])
+    target = np.searchsorted(np.repeat(np.arange(nodes), lengths) * nodes + row, wanted)
+    widths = np.diff(panel)
+    size = max((int(w * (w + len(rows))) for w, rows in zip(widths, rows_below, strict=True)), default=0)
+    return Pattern(order, _inverse(order), start, row, panel, target, aligned(size, 3, 4))
+
+
+def _inverse(permutation: Ints) -> Ints:
+    inverse = np.empty(len(permutation), np.int64)
+    inverse[permutation] = np.arange(len(permutation))
+    return inverse
 
 
 def _minimum_degree(edges: Ints, nodes: int) -> Ints:
@@ -63,9 +75,50 @@ def _minimum_degree(edges: Ints, nodes: int) -> Ints:
     factor = scipy.sparse.linalg.splu(
         dominant.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )
-    order = np.empty(nodes, np.int64)
-    order[factor.perm_c] = np.arange(nodes)
-    return order
+    return _inverse(factor.perm_c)
+
+
+def _fill(edges: Ints, order: Ints) -> list[set[int]]:
+    """Rows of each column of L, numbered by place in `order`: A's own, and those of the columns it is the parent of."""
+    below: list[set[int]] = [set() for _ in order]
+    for a, b in _inverse(order)[edges.reshape(-1, 2)].tolist():
+        if a != b:
+            below[min(a, b)].add(max(a, b))
+    for column in below:
+        if column:
+            parent = min(column)
+            below[parent] |= column - {parent}
+    return below
+
+
+def _postorder(below: list[set[int]]) -> Ints:
+    """The columns with each one right after its descendants in the elimination tree, its fullest child last."""
+    children: list[list[int]] = [[] for _ in range(len(below) + 1)]
+    for k in sorted(range(len(below)), key=lambda k: len(below[k])):
+        children[min(below[k], default=-1)].append(k)
+    backwards, waiting = [], children[-1]
+    while waiting:
+        backwards.append(waiting.pop())
+        waiting.extend(children[backwards[-1]])
+    return np.array(backwards[::-1], np.int64)
+
+
+def _panels(columns: list[Ints]) -> Ints:
+    """First column of each panel, and the end: k joins k - 1 if k is its first row and has all of its other rows."""
+    firsts = [0] if columns else []
+    for k in range(1, len(columns)):
+        before = columns[k - 1]
+        joins = len(before) == len(columns[k]) + 1 and before[0] == k
+        if not joins or k - firsts[-1] == WIDEST:
+            firsts.append(k)
+    return np.array([*firsts, len(columns)], np.int64)
+
+
+def _updates(rows: Ints, nodes: int) -> Ints:
+    """column * nodes + row of the off-diagonal blocks between a panel's rows: pair of columns, row, column."""
+    row, column = np.tril_indices(len(rows), -1)
+    order = np.lexsort((column, row, column // 2))
+    return np.asarray(rows[column[order]] * nodes + rows[row[order]], np.int64)
 
 
 def block_of(pattern: Pattern, row_slot: int, column_slot: int) -> int:
@@ -78,86 +131,178 @@ def block_of(pattern: Pattern, row_slot: int, column_slot: int) -> int:
 def factor(pattern: Pattern, diagonal: Floats, lower: Floats, inverse: Floats) -> bool:
     """Turn A (diagonal, lower) into L (lower) and D⁻¹ (inverse), in place. False if A is not positive definite.
 
-    diagonal (nf, 3, 3), lower (nnz, 3, 3), inverse (nf, 3, 3).
+    diagonal (nf, 3, 4), lower (nnz, 3, 4), inverse (nf, 3, 4): blocks by columns, each padded to four numbers.
+    Uses pattern.work. One function on purpose: its calls would cost as much as small panels.
     """
+    start, row, panel, target, work = pattern.start, pattern.row, pattern.panel, pattern.target, pattern.work
     update = 0
-    for k in range(diagonal.shape[0]):
-        a, b, c = diagonal[k, 0, 0], diagonal[k, 1, 0], diagonal[k, 2, 0]
-        d, e, f = diagonal[k, 1, 1], diagonal[k, 2, 1], diagonal[k, 2, 2]
-        i00, i10, i20 = d * f - e * e, c * e - b * f, b * e - c * d
-        minor = a * d - b * b
-        det = a * i00 + b * i10 + c * i20
-        if not (a > 0.0 and minor > 0.0 and det > 0.0):
-            return False
-        i00, i10, i20 = i00 / det, i10 / det, i20 / det
-        i11, i21, i22 = (a * f - c * c) / det, (b * c - a * e) / det, minor / det
-        inverse[k, 0, 0], inverse[k, 1, 1], inverse[k, 2, 2] = i00, i11, i22
-        inverse[k, 0, 1] = inverse[k, 1, 0] = i10
-        inverse[k, 0, 2] = inverse[k, 2, 0] = i20
-        inverse[k, 1, 2] = inverse[k, 2, 1] = i21
-        first = pattern.start[k]
-        for p in range(pattern.start[k + 1] - 1, first - 1, -1):
-            B = lower[p]
-            x0, x1, x2 = B[0, 0], B[0, 1], B[0, 2]
-            y0, y1, y2 = B[1, 0], B[1, 1], B[1, 2]
-            z0, z1, z2 = B[2, 0], B[2, 1], B[2, 2]
-            l00, l01, l02 = (
-                x0 * i00 + x1 * i10 + x2 * i20,
-                x0 * i10 + x1 * i11 + x2 * i21,
-                x0 * i20 + x1 * i21 + x2 * i22,
-            )
-            l10, l11, l12 = (
-                y0 * i00 + y1 * i10 + y2 * i20,
-                y0 * i10 + y1 * i11 + y2 * i21,
-                y0 * i20 + y1 * i21 + y2 * i22,
-            )
-            l20, l21, l22 = (
-                z0 * i00 + z1 * i10 + z2 * i20,
-                z0 * i10 + z1 * i11 + z2 * i21,
-                z0 * i20 + z1 * i21 + z2 * i22,
-            )
-            for q in range(first, p + 1):
-                B = lower[q]
-                if q == p:
-                    T = diagonal[pattern.row[p]]
-                else:
-                    T = lower[pattern.target[update]]
-                    update += 1
-                for j in range(3):
-                    b0, b1, b2 = B[j, 0], B[j, 1], B[j, 2]
-                    T[0, j] -= l00 * b0 + l01 * b1 + l02 * b2
-                    T[1, j] -= l10 * b0 + l11 * b1 + l12 * b2
-                    T[2, j] -= l20 * b0 + l21 * b1 + l22 * b2
-            B = lower[p]
-            B[0, 0], B[0, 1], B[0, 2] = l00, l01, l02
-            B[1, 0], B[1, 1], B[1, 2] = l10, l11, l12
-            B[2, 0], B[2, 1], B[2, 2] = l20, l21, l22
+    for s in range(panel.shape[0] - 1):
+        # Row r of the panel (its own columns first) is block origin + r of column 0. One column on that is
+        # height - 2 blocks on, then height - 3, …: columns get shorter. Its L D is in work[r * width + column].
+        first, width = panel[s], panel[s + 1] - panel[s]
+        height = width + start[first + width] - start[first + width - 1]
+        origin = start[first] - 1
+
+        for j in range(width):
+            k, q, base = first + j, j * width, start[first + j] - j - 1
+            a, b, c = _block(diagonal, k)
+            a, b, c = _minus_products(a, b, c, lower, origin + j, height, work, q, j)
+            if not _invert(a, b, c, inverse, k):
+                return False
+            i00, i10, i20 = inverse[k, 0, 0], inverse[k, 0, 1], inverse[k, 0, 2]
+            i11, i21, i22 = inverse[k, 1, 1], inverse[k, 1, 2], inverse[k, 2, 2]
+            for r in range(j + 1, height - 1, 2):
+                a, b, c = _block(lower, base + r)
+                d, e, f = _block(lower, base + r + 1)
+                p = origin + r
+                for i in range(j):
+                    a, b, c = _minus_product(a, b, c, lower, p, work, q + i)
+                    d, e, f = _minus_product(d, e, f, lower, p + 1, work, q + i)
+                    p += height - 2 - i
+                _finish(a, b, c, i00, i10, i20, i11, i21, i22, lower, base + r, work, r * width + j)
+                q1 = r * width + width + j
+                _finish(d, e, f, i00, i10, i20, i11, i21, i22, lower, base + r + 1, work, q1)
+            if (height - j) % 2 == 0:
+                r = height - 1
+                a, b, c = _block(lower, base + r)
+                a, b, c = _minus_products(a, b, c, lower, origin + r, height, work, q, j)
+                _finish(a, b, c, i00, i10, i20, i11, i21, i22, lower, base + r, work, r * width + j)
+
+        slots = start[first + width - 1] - width  # row[slots + r] is the slot of row r
+        for t in range(width, height - 1, 2):
+            q0, q1 = t * width, t * width + width
+            t0, t1, t2 = row[slots + t], target[update], row[slots + t + 1]
+            update += 1
+            a, b, c = _block(diagonal, t0)
+            d, e, f = _block(lower, t1)
+            g, h, i = _block(diagonal, t2)
+            p = origin + t
+            for j in range(width):
+                a, b, c = _minus_product(a, b, c, lower, p, work, q0 + j)
+                d, e, f = _minus_product(d, e, f, lower, p + 1, work, q0 + j)
+                g, h, i = _minus_product(g, h, i, lower, p + 1, work, q1 + j)
+                p += height - 2 - j
+            _store(diagonal, t0, a, b, c)
+            _store(lower, t1, d, e, f)
+            _store(diagonal, t2, g, h, i)
+            for r in range(t + 2, height - 1, 2):
+                t0, t1, t2, t3 = target[update], target[update + 1], target[update + 2], target[update + 3]
+                update += 4
+                a, b, c = _block(lower, t0)
+                d, e, f = _block(lower, t1)
+                g, h, i = _block(lower, t2)
+                l, m, n = _block(lower, t3)
+                p = origin + r
+                for j in range(width):
+                    a, b, c = _minus_product(a, b, c, lower, p, work, q0 + j)
+                    d, e, f = _minus_product(d, e, f, lower, p, work, q1 + j)
+                    g, h, i = _minus_product(g, h, i, lower, p + 1, work, q0 + j)
+                    l, m, n = _minus_product(l, m, n, lower, p + 1, work, q1 + j)
+                    p += height - 2 - j
+                _store(lower, t0, a, b, c)
+                _store(lower, t1, d, e, f)
+                _store(lower, t2, g, h, i)
+                _store(lower, t3, l, m, n)
+            if (height - t) % 2 == 1:
+                t0, t1 = target[update], target[update + 1]
+                update += 2
+                a, b, c = _block(lower, t0)
+                d, e, f = _block(lower, t1)
+                p = origin + height - 1
+                for j in range(width):
+                    a, b, c = _minus_product(a, b, c, lower, p, work, q0 + j)
+                    d, e, f = _minus_product(d, e, f, lower, p, work, q1 + j)
+                    p += height - 2 - j
+                _store(lower, t0, a, b, c)
+                _store(lower, t1, d, e, f)
+        if (height - width) % 2 == 1:
+            r = height - 1
+            a, b, c = _block(diagonal, row[slots + r])
+            a, b, c = _minus_products(a, b, c, lower, origin + r, height, work, r * width, width)
+            _store(diagonal, row[slots + r], a, b, c)
     return True
 
 
 @kernel
+def _block(A: Floats, p: int) -> tuple[Lanes, Lanes, Lanes]:
+    return load4(A, p, 0), load4(A, p, 1), load4(A, p, 2)
+
+
+@kernel
+def _store(A: Floats, p: int, a: Lanes, b: Lanes, c: Lanes) -> None:
+    store4(A, p, 0, a)
+    store4(A, p, 1, b)
+    store4(A, p, 2, c)
+
+
+@kernel
+def _minus_product(a: Lanes, b: Lanes, c: Lanes, L: Floats, p: int, W: Floats, q: int) -> tuple[Lanes, Lanes, Lanes]:
+    """The columns (a b c) − L[p] W[q]ᵀ."""
+    x, y, z = load4(L, p, 0), load4(L, p, 1), load4(L, p, 2)
+    return (
+        a - x * fill4(W, q, 0) - y * fill4(W, q, 4) - z * fill4(W, q, 8),
+        b - x * fill4(W, q, 1) - y * fill4(W, q, 5) - z * fill4(W, q, 9),
+        c - x * fill4(W, q, 2) - y * fill4(W, q, 6) - z * fill4(W, q, 10),
+    )
+
+
+@kernel
+def _minus_products(
+    a: Lanes, b: Lanes, c: Lanes, L: Floats, p: int, height: int, W: Floats, q: int, count: int
+) -> tuple[Lanes, Lanes, Lanes]:
+    """(a b c) minus the products of the first `count` columns of a panel; p, q: those of its column 0."""
+    for i in range(count):
+        a, b, c = _minus_product(a, b, c, L, p, W, q + i)
+        p += height - 2 - i
+    return a, b, c
+
+
+@kernel
+def _invert(a: Lanes, b: Lanes, c: Lanes, inverse: Floats, k: int) -> bool:
+    """inverse[k] = (a b c)⁻¹ of a symmetric block; False, and nothing done, if it is not positive definite."""
+    a00, a10, a20, a11, a21, a22 = lane(a, 0), lane(a, 1), lane(a, 2), lane(b, 1), lane(b, 2), lane(c, 2)
+    i00, i10, i20 = a11 * a22 - a21 * a21, a20 * a21 - a10 * a22, a10 * a21 - a20 * a11
+    minor = a00 * a11 - a10 * a10
+    det = a00 * i00 + a10 * i10 + a20 * i20
+    if not (a00 > 0.0 and minor > 0.0 and det > 0.0):
+        return False
+    whole = 1.0 / det
+    i00, i10, i20 = i00 * whole, i10 * whole, i20 * whole
+    i11, i21, i22 = (a00 * a22 - a20 * a20) * whole, (a10 * a20 - a00 * a21) * whole, minor * whole
+    inverse[k, 0, 0], inverse[k, 0, 1], inverse[k, 0, 2] = i00, i10, i20
+    inverse[k, 1, 0], inverse[k, 1, 1], inverse[k, 1, 2] = i10, i11, i21
+    inverse[k, 2, 0], inverse[k, 2, 1], inverse[k, 2, 2] = i20, i21, i22
+    return True
+
+
+@kernel
+def _finish(
+    a: Lanes, b: Lanes, c: Lanes, i00: float, i10: float, i20: float, i11: float, i21: float, i22: float,
+    lower: Floats, p: int, work: Floats, q: int,
+) -> None:  # fmt: skip
+    """work[q] = (a b c), which is L D, and lower[p] = (a b c) D⁻¹."""
+    _store(work, q, a, b, c)
+    _store(lower, p, a * i00 + b * i10 + c * i20, a * i10 + b * i11 + c * i21, a * i20 + b * i21 + c * i22)
+
+
+@kernel
 def solve(pattern: Pattern, lower: Floats, inverse: Floats, y: Floats) -> None:
-    """Replace y (nf, 3), in slot order, by A⁻¹ y."""
+    """Replace y (nf or more, 4), in slot order, by A⁻¹ y; y[:, 3] becomes 0, as the padding of inverse is."""
+    start, row = pattern.start, pattern.row
     nf = inverse.shape[0]
     for k in range(nf):
-        y0, y1, y2 = y[k, 0], y[k, 1], y[k, 2]
-        for p in range(pattern.start[k], pattern.start[k + 1]):
-            L, i = lower[p], pattern.row[p]
-            for r in range(3):
-                y[i, r] -= L[r, 0] * y0 + L[r, 1] * y1 + L[r, 2] * y2
+        v = load4(y, k, 0)
+        a, b, c = splat4(lane(v, 0)), splat4(lane(v, 1)), splat4(lane(v, 2))
+        store4(y, k, 0, load4(inverse, k, 0) * a + load4(inverse, k, 1) * b + load4(inverse, k, 2) * c)
+        for p in range(start[k], start[k + 1]):
+            i = row[p]
+            store4(y, i, 0, load4(y, i, 0) - load4(lower, p, 0) * a - load4(lower, p, 1) * b - load4(lower, p, 2) * c)
     for k in range(nf - 1, -1, -1):
-        D = inverse[k]
-        y0, y1, y2 = y[k, 0], y[k, 1], y[k, 2]
-        z0 = D[0, 0] * y0 + D[0, 1] * y1 + D[0, 2] * y2
-        z1 = D[1, 0] * y0 + D[1, 1] * y1 + D[1, 2] * y2
-        z2 = D[2, 0] * y0 + D[2, 1] * y1 + D[2, 2] * y2
-        for p in range(pattern.start[k], pattern.start[k + 1]):
-            L, i = lower[p], pattern.row[p]
-            x0, x1, x2 = y[i, 0], y[i, 1], y[i, 2]
-            z0 -= L[0, 0] * x0 + L[1, 0] * x1 + L[2, 0] * x2
-            z1 -= L[0, 1] * x0 + L[1, 1] * x1 + L[2, 1] * x2
-            z2 -= L[0, 2] * x0 + L[1, 2] * x1 + L[2, 2] * x2
-        y[k, 0], y[k, 1], y[k, 2] = z0, z1, z2
+        a, b, c = splat4(0.0), splat4(0.0), splat4(0.0)
+        for p in range(start[k + 1] - 1, start[k] - 1, -1):  # last row first: the first was solved for just now
+            x = load4(y, row[p], 0)
+            a, b, c = a + load4(lower, p, 0) * x, b + load4(lower, p, 1) * x, c + load4(lower, p, 2) * x
+        store4(y, k, 0, load4(y, k, 0) - sums3(a, b, c))
 
 
 @kernel
@@ -175,7 +320,7 @@ def solve_lanes(pattern: Pattern, lower: Floats, inverse: Floats, first: int, re
             L = lower[p]
             reached[pattern.row[p]] = 1
             _subtract(
-                Y[pattern.row[p]], Y[k], L[0, 0], L[0, 1], L[0, 2], L[1, 0], L[1, 1], L[1, 2], L[2, 0], L[2, 1], L[2, 2]
+                Y[pattern.row[p]], Y[k], L[0, 0], L[1, 0], L[2, 0], L[0, 1], L[1, 1], L[2, 1], L[0, 2], L[1, 2], L[2, 2]
             )
     for k in range(nf - 1, first - 1, -1):
         D, y = inverse[k], Y[k]
@@ -188,7 +333,7 @@ def solve_lanes(pattern: Pattern, lower: Floats, inverse: Floats, first: int, re
         for p in range(pattern.start[k], pattern.start[k + 1]):
             L = lower[p]
             _subtract(
-                y, Y[pattern.row[p]], L[0, 0], L[1, 0], L[2, 0], L[0, 1], L[1, 1], L[2, 1], L[0, 2], L[1, 2], L[2, 2]
+                y, Y[pattern.row[p]], L[0, 0], L[0, 1], L[0, 2], L[1, 0], L[1, 1], L[1, 2], L[2, 0], L[2, 1], L[2, 2]
             )
 
 

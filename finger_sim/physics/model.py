@@ -2,39 +2,59 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..arrays import Floats, Ints
 from ..mesh import TetMesh
 from ..scene import Scene
-from . import strain_limits
+from . import linear_solver, strain_limits
 from .kinematics import BATCH
-from .linear_solver import LANES, Pattern, analyse, block_of
+from .lanes import LANES, aligned, padded
+from .linear_solver import Pattern, analyse, block_of
+from .methods import LEVELS, METHODS, PGS
+from .tensor_limit import limit_factors
 
-MAX_ROWS = 2048  # limit and contact rows of one step; more are left out, with a status bit
+MAX_ROWS = 2048  # limit and contact rows of one step of `pgs`; more are left out, with a status bit
 PAIRS = [(a, b) for a in range(4) for b in range(a + 1)]
 
 
 class Model(NamedTuple):
-    """Rest shape, masses, patterns and coefficients. n nodes, T tetrahedra, nf free nodes ("slots" 0 … nf − 1)."""
+    """Rest shape, masses, patterns and coefficients.
+
+    n nodes, T tetrahedra, in B batches of 8 lanes (the last one filled up with tetrahedra of no volume); nf free nodes,
+    "slots" 0 … nf − 1; slot nf stands for driven nodes and for none. Node pairs e of a tetrahedron: see PAIRS. A has
+    `nf` diagonal blocks and `na` below the diagonal: block k < nf is the diagonal one of slot k, block nf + p the p-th
+    of the others. Blocks lie by columns, each padded to four numbers.
+    """
 
     tets: Ints  # (T, 4) nodes of each tetrahedron
     gradients: Floats  # (T, 4, 3) rows r_n of D_m⁻¹ in material axes [1/m]; r_4 = −(r_1 + r_2 + r_3) (Eq. 2)
     volume: Floats  # (T,) rest volume [m³]
     mass: Floats  # (n,) lumped mass [kg]
+    mobility: Floats  # (nf + 1,) 1 / mass of each slot [1/kg], 0: driven
     length: float  # cube root of the mean tetrahedron volume [m]
     free: Ints  # (nf,) node of each slot
-    slot: Ints  # (n,) slot of each node, −1: driven
+    slot: Ints  # (n,) slot of each node, nf: driven
     driven: Ints  # (nd,) driven nodes
-    tet_slot: Ints  # (T, 4) slots of a tetrahedron's nodes, −1: driven
-    tet_block: Ints  # (T, 10) block of A for each node pair, −1: none (a driven node)
+    tet_slot: Ints  # (T, 4) slots of a tetrahedron's nodes
+    tet_place: Ints  # (T, 10) block of the factorisation that each node pair adds to, −1: none (a driven node)
     pair_row: Ints  # (T, 10) node (0 … 3) at the block's row
     pair_column: Ints  # (T, 10) node (0 … 3) at the block's column
     tet_order: Ints  # (T,) tetrahedra by their first slot: neighbouring rows share work in solves
     tet_moves: Ints  # (T,) number of free nodes; 0: cannot deform but by command
-    touches_driven: Ints  # (T,) 1 where a node is driven and another free
+    lane_node: Ints  # (B, 4, 8) nodes of the tetrahedra in lanes
+    lane_slot: Ints  # (B, 4, 8) their slots
+    lane_gradients: Floats  # (B, 12, 8) their r_1 … r_4
+    lane_volume: Floats  # (B, 8)
+    lane_driven: Ints  # (B,) 1 where a node of a lane is driven and another free
+    assembly: Ints  # (k, 4) contributions to A: tetrahedron, its nodes at the row and the column, block of A
+    assembly_dot: Floats  # (k,) r_a · r_b of their nodes [1/m²]
+    block_row: Ints  # (na,) slot of each block below the diagonal of A
+    block_column: Ints  # (na,)
+    block_place: Ints  # (na,) where it is in the factorisation
+    laplace: Floats  # (nf + na,) Σ vol r_a · r_b of each block [m]: its part that does not turn
     pattern: Pattern  # of the factorisation of A
     surface_nodes: Ints  # (k,) nodes of the boundary
     contact_nodes: Ints  # (c,) those of them that are free
@@ -46,46 +66,88 @@ class Model(NamedTuple):
     projection: int  # strain_limits.NONE: no limits
     stretch_room: Floats  # (3,) a⁺, ∞: free
     compress_room: Floats  # (3,) a⁻, ∞: free
+    limit_factors: Floats  # (2, 9) what `tensor` weighs strain with: see tensor_limit.limit_factors
     limit_compliance: float  # 1 / (κ E) [1/Pa]: divided by a volume, a limit row's compliance [1/(N m)]; 0: rigid
+    limit_inertia: float  # a limit is at least so many times as stiff as the inertia behind it in one step
     has_plane: bool
     plane_frame: Floats  # (3, 3) rows: unit normal and two tangents, world
     plane_point: Floats  # (3,) [m], world
     mu_friction: float  # Coulomb μ
     contact_compliance: float  # 1 / k_n [m/N]; 0: rigid
+    method: int  # PGS or NEWTON
     tolerance: float  # see Solver.tolerance
     max_iterations: int
+    relinearizations: int
+    hold: int  # steps that share A
+    deadline: float  # [s] after which a step begins no further iteration; 0: none
 
 
 class State(NamedTuple):
-    """Positions, velocities and what the last step left; then the workspace of a step (nothing is allocated in it)."""
+    """Positions, velocities and what the last step left; then the workspace of a step (nothing is allocated in it).
 
-    x: Floats  # (n, 3) positions [m], world
-    v: Floats  # (n, 3) velocities [m/s], world
+    Arrays that a projection or a solver does not use are empty.
+    """
+
+    x: Floats  # (n, 4) positions [m], world; as every vector of a node padded to four numbers
+    v: Floats  # (n, 4) velocities [m/s], world
+    x_start: Floats  # (n, 4) x at the step's start, where a step is linearised more than once
+    v_start: Floats  # (n, 4) and v
+    v_base: Floats  # (n, 4) v that state.x is linearised with
+    moving: Floats  # (n, 4) velocities that state.x has not yet moved by: rows look ahead along them
+    age: Ints  # (1,) steps since A was formed
+    factored_holds: Ints  # (1,) signature of what held in the last factorisation: see newton.evaluate
     origin: Floats  # (3,) origin of the finger frame at the end of the step, world [m]: wrenches are about it
-    F: Floats  # (T, 3, 3) deformation gradient at x
+    driven_velocity: Floats  # (n, 4) velocities of driven nodes in this step [m/s], 0: free
+    quaternion: Floats  # (B, 4, 8) of R, x y z w
+    R: Floats  # (B, 9, 8) rotation of each tetrahedron at x: F = R (I + E), from material axes to the world
+    inverted: Ints  # (1,) batches with a tetrahedron that is inside out
+    E: Floats  # (B, 6, 8) Biot strain 00 11 22 12 02 01, material axes
+    F: Floats  # (T, 3, 3) deformation gradient at x: this and its decomposition for limits on principal stretches only
     U: Floats  # (T, 3, 3) F = U diag(s) Vᵀ
     s: Floats  # (T, 3)
     V: Floats  # (T, 3, 3)
     strain_ratio: Floats  # (T,) strain/limit at x
     contact_force: Floats  # (n, 3) force of the plane on each node [N], world
     wrench: Floats  # (6,) their sum [N] and torque about `origin` [N m]: plane on finger, world axes
-    warm_limit: Floats  # (T, 3, 3) last row forces by key (i, j), positive: stretch, negative: compression [N m]
+    warm_limit: Floats  # (T, keys) `pgs`: last row forces by key, positive: stretch, negative: compression [N m]
+    limit_force: Floats  # (B, 8) `tensor`: sum of the forces of a tetrahedron's limit rows in the last step [N m]
     active_rows: Ints  # (T,) rows of each tetrahedron that carry a force
-    A_diagonal: Floats  # (nf, 3, 3)
-    A_lower: Floats  # (nnz, 3, 3)
-    A_inverse: Floats  # (nf, 3, 3) D⁻¹ of the factorisation
-    rhs: Floats  # (nf, 3)
-    J: Floats  # (rows, 4, 3) gradient of each row at its nodes
-    row_slot: Ints  # (rows, 4) slots of these nodes, −1: driven or none
+    g: Floats  # (8 B, 4, 4) g_n = R r_n of each node of each tetrahedron [1/m], world
+    A: Floats  # (nf + na, 3, 4)
+    L_diagonal: Floats  # (nf, 3, 4) factorisation: D
+    L_lower: Floats  # (nnz, 3, 4) L below its diagonal
+    L_inverse: Floats  # (nf, 3, 4) D⁻¹
+    rhs: Floats  # (nf + 1, 4)
+    slot_velocity: Floats  # (nf + 1, 4) velocities of the free nodes in slot order
+    slot_product: Floats  # (nf + 1, 4) scratch
+    bound: Floats  # (B, 2, 8) no eigenvalue of A E A is above (stretch) or, for compression, of −A E A
+    near: Ints  # (near,) 2 t + side of what may be at a limit: sides 0 stretch, 1 compression
+    near_count: Ints  # (1,) how many they are
+    eigen: Floats  # (near / 8, 12, 8) their eigenvalues and eigenvectors (by columns), lanes in the order of `near`
+    stage: Floats  # (32, 8) scratch: what is gathered for eight of them
+    lane_J: Floats  # (8, 4, 4) scratch: a gradient of each of them
+    J: Floats  # (rows, 4, 4) gradient of each row at its nodes
+    row_slot: Ints  # (rows, 4) slots of these nodes
     row_tet: Ints  # (rows,) tetrahedron of a limit row; −1 − node of a contact row
-    row_key: Ints  # (rows,) 3 i + j of a limit row
+    row_key: Ints  # (rows,) which of its tetrahedron's limit rows: 3 i + j, or of `tensor` 2 · direction + side
     row_side: Floats  # (rows,) +1 stretch, −1 compression
-    constant: Floats  # (rows,) C + h J v_free
+    constant: Floats  # (rows,) C + h J v at the velocities the rows were formed with
     compliance: Floats  # (rows,)
     scale: Floats  # (rows,) [N] of nodal force per unit of lam
     lam: Floats  # (rows,) row forces
     best: Floats  # (rows,) row forces of the least residual so far
-    diagonal: Floats  # (rows,) diagonal of W
+    change: Floats  # (nf + 1, 4) `newton`: change δ of the free nodes' velocities since the rows were formed
+    direction: Floats  # (nf + 1, 4) its Newton direction
+    tried: Floats  # (nf + 1, 4) δ on trial
+    best_change: Floats  # (nf + 1, 4) δ of the least residual so far
+    start_residual: Floats  # (nf + 1, 4) b − A v at δ = 0, then what remains at δ
+    next_residual: Floats  # (nf + 1, 4) at the δ on trial
+    stiffness: Floats  # (rows,) what each row adds to the Hessian [N/m]: 1 / compliance where it carries a force
+    factored: Floats  # (rows,) the same, as the factorisation in L has it
+    slip: Floats  # (contacts, 4) unit slip direction of a node's contact force (world), and μ; zeros: sticks
+    time: Ints  # (2,) scratch of the clock
+    laps: Floats  # (7,) seconds spent in each stage of the steps so far (clock.STAGES), or empty: not measured
+    diagonal: Floats  # (rows,) `pgs`: diagonal of W
     cross: Floats  # (rows,) W between a contact's two tangents, at the first one's row
     has_column: Ints  # (rows,) 1: the row's column of Z is there
     row_local: Ints  # (rows, 4) where in u the components of each node begin; past the touched ones: driven or none
@@ -98,9 +160,8 @@ class State(NamedTuple):
     reached: Ints  # (nf,) 1 where Y is not zero
     columns: Floats  # (3, 3, BATCH) scratch
     turn: Floats  # (3, 3, BATCH) scratch
-    D: Floats  # (3, 3) scratch
     P: Floats  # (3, 3) scratch
-    G: Floats  # (4, 3) scratch
+    D: Floats  # (3, 3) scratch
     result: Floats  # (8,) what a step reports: see step.py
 
 
@@ -127,33 +188,51 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
     edges = graph_index[pairs]
     pattern = analyse(np.unique(np.sort(edges[(edges >= 0).all(axis=1)], axis=1), axis=0), len(graph_nodes))
     free = graph_nodes[pattern.order]
-    slot = np.full(n, -1, np.int64)
-    slot[free] = np.arange(len(free))
+    nf = len(free)
+    slot = np.full(n, nf, np.int64)
+    slot[free] = np.arange(nf)
     tet_slot = slot[tets]
-    tet_block, pair_row, pair_column = _block_maps(tet_slot, pattern)
-    free_corners = (tet_slot >= 0).sum(axis=1)
-    first_slot = np.where(tet_slot >= 0, tet_slot, n).min(axis=1)
+    tet_moves = (tet_slot < nf).sum(axis=1)
+    blocks = _blocks(tet_slot, nf, pattern)
+    laplace = np.zeros(nf + len(blocks.row))
+    t, row, column, block = blocks.assembly.T
+    dot = np.einsum("ki,ki->k", gradients[t, row], gradients[t, column])
+    np.add.at(laplace, block, volume[t] * dot)
     surface_nodes = np.unique(mesh.surface).astype(np.int64)
 
     young, poisson = scene.material.young, scene.material.poisson
     length = float(np.cbrt(volume.mean()))
-    limits, plane = scene.limits, scene.plane
+    limits, plane, solver = scene.limits, scene.plane, scene.solver
+    factors = np.zeros((2, 9))
+    if limits:
+        limit_factors(np.array([limits.stretch_room, limits.compress_room]), factors)
     return Model(
         tets=tets,
         gradients=np.ascontiguousarray(gradients),
         volume=volume,
         mass=mass,
+        mobility=np.append(1.0 / mass[free], 0.0),
         length=length,
         free=free,
         slot=slot,
         driven=driven,
         tet_slot=tet_slot,
-        tet_block=tet_block,
-        pair_row=pair_row,
-        pair_column=pair_column,
-        tet_order=np.argsort(first_slot, kind="stable"),
-        tet_moves=free_corners,
-        touches_driven=((free_corners > 0) & (free_corners < 4)).astype(np.int64),
+        tet_place=blocks.tet_place,
+        pair_row=blocks.pair_row,
+        pair_column=blocks.pair_column,
+        tet_order=np.argsort(tet_slot.min(axis=1), kind="stable"),
+        tet_moves=tet_moves,
+        lane_node=np.ascontiguousarray(_in_lanes(tets)),
+        lane_slot=np.ascontiguousarray(_in_lanes(tet_slot)),
+        lane_gradients=_aligned(_in_lanes(gradients.reshape(-1, 12))),
+        lane_volume=_aligned(_in_lanes(np.concatenate([volume, np.zeros(-len(tets) % LANES)]))),
+        lane_driven=_in_lanes((tet_moves > 0) & (tet_moves < 4)).any(axis=1).astype(np.int64),
+        assembly=blocks.assembly,
+        assembly_dot=dot,
+        block_row=blocks.row,
+        block_column=blocks.column,
+        block_place=blocks.place,
+        laplace=laplace,
         pattern=pattern,
         surface_nodes=surface_nodes,
         contact_nodes=surface_nodes[is_free[surface_nodes]],
@@ -165,20 +244,29 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
         projection=strain_limits.PROJECTIONS[limits.projection] if limits else strain_limits.NONE,
         stretch_room=limits.stretch_room if limits else np.full(3, np.inf),
         compress_room=limits.compress_room if limits else np.full(3, np.inf),
+        limit_factors=factors,
         limit_compliance=1.0 / (limits.stiffness * young) if limits and limits.stiffness else 0.0,
+        limit_inertia=limits.inertia if limits else 0.0,
         has_plane=plane is not None,
         plane_frame=plane_frame(plane.unit_normal) if plane else np.eye(3),
         plane_point=np.array(plane.point) if plane else np.zeros(3),
         mu_friction=plane.friction if plane else 0.0,
         contact_compliance=1.0 / (plane.stiffness * young * length) if plane and plane.stiffness else 0.0,
-        tolerance=scene.solver.tolerance,
-        max_iterations=scene.solver.max_iterations,
+        method=METHODS[solver.method],
+        tolerance=solver.tolerance,
+        max_iterations=solver.max_iterations,
+        relinearizations=solver.relinearizations,
+        hold=LEVELS[solver.level],
+        deadline=solver.deadline or 0.0,
     )
 
 
 def with_live_values(model: Model, scene: Scene) -> Model:
     """The model with those fields that may change while running as the scene now has them."""
-    model = model._replace(tolerance=scene.solver.tolerance, max_iterations=scene.solver.max_iterations)
+    solver = scene.solver
+    model = model._replace(
+        tolerance=solver.tolerance, max_iterations=solver.max_iterations, deadline=solver.deadline or 0.0
+    )
     if scene.plane is None:
         return model
     return model._replace(
@@ -197,49 +285,111 @@ def plane_frame(normal: Floats) -> Floats:
     return np.array([normal, t1, np.cross(normal, t1)])
 
 
-def _block_maps(tet_slot: Ints, pattern: Pattern) -> tuple[Ints, Ints, Ints]:
-    """For each tetrahedron and node pair: the block of A it adds to, and which node is its row and its column."""
+class _Blocks(NamedTuple):
+    """Where the 3 × 3 blocks of A are, and what adds to them: see Model."""
+
+    tet_place: Ints
+    pair_row: Ints
+    pair_column: Ints
+    assembly: Ints
+    row: Ints
+    column: Ints
+    place: Ints
+
+
+def _blocks(tet_slot: Ints, nf: int, pattern: Pattern) -> _Blocks:
+    """The blocks of A for tetrahedra with these slots, (T, 4)."""
     count = len(tet_slot)
-    block = np.full((count, 10), -1, np.int64)
-    row, column = np.zeros((count, 10), np.int64), np.zeros((count, 10), np.int64)
-    for t, slots in enumerate(tet_slot):
-        for e, (a, b) in enumerate(PAIRS):
-            if slots[a] < 0 or slots[b] < 0:
-                continue
-            if slots[a] < slots[b]:
-                a, b = b, a
-            row[t, e], column[t, e] = a, b
-            block[t, e] = slots[a] if a == b else block_of(pattern, slots[a], slots[b])
-    return block, row, column
+    pairs = np.array(PAIRS)
+    slots = tet_slot[:, pairs]  # (T, 10, 2)
+    swap = slots[..., 0] < slots[..., 1]
+    pair_row = np.where(swap, pairs[:, 1], pairs[:, 0])
+    pair_column = np.where(swap, pairs[:, 0], pairs[:, 1])
+    rows, columns = slots.max(axis=2), slots.min(axis=2)
+    exists = rows < nf
+    below = exists & (rows != columns)
+    numbers, inverse = np.unique(rows[below] * nf + columns[below], return_inverse=True)
+    row, column = numbers // nf, numbers % nf
+    place = np.array([block_of(pattern, int(r), int(c)) for r, c in zip(row, column, strict=True)], np.int64)
+    block, tet_place = np.full((count, 10), -1, np.int64), np.full((count, 10), -1, np.int64)
+    diagonal = exists & (rows == columns)
+    block[diagonal] = tet_place[diagonal] = rows[diagonal]
+    block[below], tet_place[below] = nf + inverse, place[inverse]
+    t, e = np.nonzero(exists)
+    assembly = np.stack([t, pair_row[t, e], pair_column[t, e], block[t, e]], axis=1)
+    return _Blocks(tet_place, pair_row, pair_column, assembly, row, column, place)
 
 
-def build_state(model: Model, positions: Floats) -> State:
-    """A state at rest at the given positions, (n, 3) [m], with its workspace."""
+def _in_lanes(values: Any) -> Any:
+    """(T, …) → (B, …, 8): eight tetrahedra side by side, the last one repeated to fill up."""
+    whole = np.concatenate([values, np.repeat(values[-1:], padded(len(values)) - len(values), axis=0)])
+    return np.moveaxis(whole.reshape(-1, LANES, *values.shape[1:]), 1, -1)
+
+
+def _aligned(values: Floats) -> Floats:
+    out = aligned(*values.shape)
+    out[:] = values
+    return out
+
+
+def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
+    """A state at rest at the given positions, (n, 3) [m], with its workspace. timed: its steps measure their stages."""
     count, n, nf = len(model.tets), len(positions), len(model.free)
-    nnz = len(model.pattern.row)
-    wanted = (9 * count if model.projection != strain_limits.NONE else 0) + 3 * len(
-        model.contact_nodes
-    ) * model.has_plane
-    rows = min(MAX_ROWS, wanted)
-    touched = min(nf, 4 * rows)
+    batches, nnz = len(model.lane_volume), len(model.pattern.row)
+    tensor, limited = model.projection == strain_limits.TENSOR, model.projection != strain_limits.NONE
+    spectral = count if limited and not tensor else 0
+    contacts = len(model.contact_nodes) * model.has_plane
+    rows = (12 * count if tensor else 9 * spectral) + 3 * contacts
+    pgs = model.method == PGS
+    if pgs:
+        rows = min(MAX_ROWS, rows)
+    touched = min(nf, 4 * rows) if pgs else 0
+    newton = 0 if pgs else nf + 1
+    swept = rows if pgs else 0
+    near = padded(2 * count) if tensor else 0
+    again = n if model.relinearizations else 0
+    x = aligned(n, 4)
+    x[:, :3] = positions
     return State(
-        x=positions.copy(),
-        v=np.zeros((n, 3)),
+        x=x,
+        v=aligned(n, 4),
+        x_start=aligned(again, 4),
+        v_start=aligned(again, 4),
+        v_base=aligned(again, 4),
+        moving=aligned(n, 4),
+        age=np.zeros(1, np.int64),
+        factored_holds=np.zeros(1, np.int64),
         origin=np.zeros(3),
-        F=np.zeros((count, 3, 3)),
-        U=np.zeros((count, 3, 3)),
-        s=np.ones((count, 3)),
-        V=np.zeros((count, 3, 3)),
+        driven_velocity=aligned(n, 4),
+        quaternion=_aligned(np.broadcast_to(np.array([[0.0], [0.0], [0.0], [1.0]]), (batches, 4, LANES))),
+        R=aligned(batches, 9, LANES),
+        inverted=np.zeros(1, np.int64),
+        E=aligned(batches, 6, LANES),
+        F=np.zeros((spectral, 3, 3)),
+        U=np.zeros((spectral, 3, 3)),
+        s=np.ones((spectral, 3)),
+        V=np.zeros((spectral, 3, 3)),
         strain_ratio=np.zeros(count),
         contact_force=np.zeros((n, 3)),
         wrench=np.zeros(6),
-        warm_limit=np.zeros((count, 3, 3)),
-        active_rows=np.zeros(count, np.int64),
-        A_diagonal=np.zeros((nf, 3, 3)),
-        A_lower=np.zeros((nnz, 3, 3)),
-        A_inverse=np.zeros((nf, 3, 3)),
-        rhs=np.zeros((nf, 3)),
-        J=np.zeros((rows, 4, 3)),
+        warm_limit=np.zeros((count if limited else 0, 18 if tensor else 9)),
+        limit_force=aligned(batches if tensor else 0, LANES),
+        active_rows=np.zeros(count if limited else 0, np.int64),
+        g=aligned(LANES * batches, 4, 4),
+        A=aligned(nf + len(model.block_row), 3, 4),
+        L_diagonal=aligned(nf, 3, 4),
+        L_lower=aligned(nnz, 3, 4),
+        L_inverse=aligned(nf, 3, 4),
+        rhs=aligned(nf + 1, 4),
+        slot_velocity=aligned(nf + 1, 4),
+        slot_product=aligned(nf + 1, 4),
+        bound=aligned(batches if tensor else 0, 2, LANES),
+        near=np.zeros(near, np.int64),
+        near_count=np.zeros(1, np.int64),
+        eigen=aligned(near // LANES, 12, LANES),
+        stage=aligned(32, LANES),
+        lane_J=aligned(LANES, 4, 4),
+        J=aligned(rows, 4, 4),
         row_slot=np.zeros((rows, 4), np.int64),
         row_tet=np.zeros(rows, np.int64),
         row_key=np.zeros(rows, np.int64),
@@ -249,21 +399,31 @@ def build_state(model: Model, positions: Floats) -> State:
         scale=np.zeros(rows),
         lam=np.zeros(rows),
         best=np.zeros(rows),
-        diagonal=np.zeros(rows),
-        cross=np.zeros(rows),
-        has_column=np.zeros(rows, np.int64),
-        row_local=np.zeros((rows, 4), np.int64),
-        local=np.zeros(nf, np.int64),
+        change=aligned(newton, 4),
+        direction=aligned(newton, 4),
+        tried=aligned(newton, 4),
+        best_change=aligned(newton, 4),
+        start_residual=aligned(newton, 4),
+        next_residual=aligned(newton, 4),
+        stiffness=np.zeros(rows - swept),
+        factored=np.zeros(rows - swept),
+        slip=aligned(0 if pgs else contacts, 4),
+        time=np.zeros(2, np.int64),
+        laps=np.zeros(7 if timed else 0),
+        diagonal=np.zeros(swept),
+        cross=np.zeros(swept),
+        has_column=np.zeros(swept, np.int64),
+        row_local=np.zeros((swept, 4), np.int64),
+        local=np.zeros(nf if pgs else 0, np.int64),
         touched=np.zeros(touched, np.int64),
         u=np.zeros(3 * touched + 3 if touched else 0),
         S=np.zeros(9 * touched * touched),
-        Z=np.zeros(3 * rows * touched),
-        Y=np.zeros((nf, 3, LANES)),
-        reached=np.zeros(nf, np.int64),
+        Z=np.zeros(3 * swept * touched),
+        Y=np.zeros((nf if pgs else 0, 3, linear_solver.LANES)),
+        reached=np.zeros(nf if pgs else 0, np.int64),
         columns=np.zeros((3, 3, BATCH)),
         turn=np.zeros((3, 3, BATCH)),
-        D=np.zeros((3, 3)),
         P=np.zeros((3, 3)),
-        G=np.zeros((4, 3)),
+        D=np.zeros((3, 3)),
         result=np.zeros(8),
     )

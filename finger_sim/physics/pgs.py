@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, NamedTuple
 from ..arrays import Floats, Ints
 from .compile import kernel, stage
 from .linear_solver import NODE_LANES, solve, solve_lanes
+from .newton import FLOOR
+from .vectors import clear, copy_first
 
 if TYPE_CHECKING:
     from .model import Model, State
 
 _CHECK = 16  # the residual is taken after a sweep that changed little enough to hope, and after every so many
-_FLOOR = 1e-3  # forces are judged relative to the largest row force, and no finer than this part of G · length²
 
 
 @stage
@@ -32,43 +33,44 @@ def touched_nodes(model: Model, state: State, rows: int) -> int:
 
     row_local is where a node's three components are in u; those of driven nodes, or none, are past the others and 0.
     """
-    local = state.local
+    local, touched, row_slot, row_local = state.local, state.touched, state.row_slot, state.row_local
     local[:] = -1
     for row in range(rows):
         for n in range(4):
-            k = state.row_slot[row, n]
-            if k >= 0:
+            k = row_slot[row, n]
+            if k < local.shape[0]:
                 local[k] = 0
     count = 0
     for k in range(local.shape[0]):
         if local[k] == 0:
             local[k] = count
-            state.touched[count] = k
+            touched[count] = k
             count += 1
     for row in range(rows):
         for n in range(4):
-            k = state.row_slot[row, n]
-            state.row_local[row, n] = 3 * (local[k] if k >= 0 else count)
+            k = row_slot[row, n]
+            row_local[row, n] = 3 * (local[k] if k < local.shape[0] else count)
     return count
 
 
 @stage
 def inverse_between(model: Model, state: State, count: int) -> None:
     """S (3 count, 3 count): the symmetric block of A⁻¹ between touched nodes, some of its columns at a time."""
+    Y, touched, reached = state.Y, state.touched, state.reached
+    pattern, lower, inverse = model.pattern, state.L_lower, state.L_inverse
     S = state.S[: 9 * count * count].reshape((3 * count, 3 * count))
-    Y = state.Y
     for start in range(0, count, NODE_LANES):
-        first = state.touched[start]
+        first = touched[start]
         Y[first:] = 0.0
-        state.reached[first:] = 0
+        reached[first:] = 0
         width = min(NODE_LANES, count - start)
         for c in range(width):
-            state.reached[state.touched[start + c]] = 1
+            reached[touched[start + c]] = 1
             for i in range(3):
-                Y[state.touched[start + c], i, 3 * c + i] = 1.0
-        solve_lanes(model.pattern, state.A_lower, state.A_inverse, first, state.reached, Y)
+                Y[touched[start + c], i, 3 * c + i] = 1.0
+        solve_lanes(pattern, lower, inverse, first, reached, Y)
         for a in range(start, count):
-            k = state.touched[a]
+            k = touched[a]
             for i in range(3):
                 for l in range(3 * width):
                     S[3 * a + i, 3 * start + l] = Y[k, i, l]
@@ -83,33 +85,34 @@ def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: in
     complementarity over its diagonal of W), as nodal force relative to the largest one. When the sweeps run out,
     the iterate with the least residual is kept. On return state.J holds h J.
     """
+    J, nodes, lam, best, u, diagonal = state.J, state.row_local, state.lam, state.best, state.u, state.diagonal
+    cross, has_column, compliance = state.cross, state.has_column, state.compliance
     size = 3 * count
     S = state.S[: size * size].reshape((size, size))
     Z = state.Z[: rows * size].reshape((rows, size))
-    J, nodes, lam = state.J, state.row_local, state.lam
-    state.u[: size + 3] = 0.0
+    u[: size + 3] = 0.0
     for row in range(rows):
         for n in range(4):
             for i in range(3):
                 J[row, n, i] *= h
-        state.has_column[row] = 0
-        state.diagonal[row] = _product(S, J, nodes, row, row) + state.compliance[row]
+        has_column[row] = 0
+        diagonal[row] = _product(S, J, nodes, row, row) + compliance[row]
     for row in range(0, contact_rows, 3):
-        state.cross[row + 1] = _product(S, J, nodes, row + 1, row + 2)
+        cross[row + 1] = _product(S, J, nodes, row + 1, row + 2)
     system = System(
-        J, nodes, state.constant, state.compliance, state.diagonal, state.cross, state.scale, lam, state.u,
-        state.has_column, S, Z,
+        J, nodes, state.constant, compliance, diagonal, cross, state.scale, lam, u,
+        has_column, S, Z,
     )  # fmt: skip
     for row in range(rows):
         if lam[row] != 0.0:
-            state.has_column[row] = 1
+            has_column[row] = 1
             _make_column(S, J, nodes, row, Z[row])
-            _add(state.u, Z[row], lam[row])
+            _add(u, Z[row], lam[row])
 
-    floor = _FLOOR * model.lame_mu * model.length * model.length
+    floor = FLOOR * model.lame_mu * model.length * model.length
     worst, largest = visit(system, model.mu_friction, contact_rows, rows, False)
     residual = least = worst / max(largest, floor)
-    state.best[:rows] = lam[:rows]
+    copy_first(best, lam, rows)
     sweeps = 0
     while residual > model.tolerance and sweeps < model.max_iterations:
         sweeps += 1
@@ -120,10 +123,10 @@ def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: in
         residual = worst / max(largest, floor)
         if residual < least:
             least = residual
-            state.best[:rows] = lam[:rows]
+            copy_first(best, lam, rows)
         elif not residual < math.inf:
             break
-    lam[:rows] = state.best[:rows]
+    copy_first(lam, best, rows)
     return sweeps, least
 
 
@@ -164,7 +167,8 @@ def visit(system: System, mu_friction: float, contact_rows: int, rows: int, upda
         elif axis == 1:
             along_1, along_2 = tangents(
                 mu_friction * lam[row - 1], lam[row], lam[row + 1],
-                constant[row] + _dot(J, nodes, row, u), constant[row + 1] + _dot(J, nodes, row + 1, u),
+                constant[row] + compliance[row] * lam[row] + _dot(J, nodes, row, u),
+                constant[row + 1] + compliance[row + 1] * lam[row + 1] + _dot(J, nodes, row + 1, u),
                 diagonal[row], diagonal[row + 1], system.cross[row],
             )  # fmt: skip
             wanted = along_1
@@ -258,17 +262,16 @@ def _product(S: Floats, J: Floats, nodes: Ints, row: int, other: int) -> float:
 @stage
 def apply_rows(model: Model, state: State, rows: int) -> None:
     """Add A⁻¹ (h J)ᵀ λ to the velocities of all free nodes; state.J holds h J since `solve_rows`."""
-    y = state.rhs
-    y[:] = 0.0
+    y, lam, J, row_slot, v, free = state.rhs, state.lam, state.J, state.row_slot, state.v, model.free
+    clear(y)
     for row in range(rows):
-        force = state.lam[row]
+        force = lam[row]
         if force != 0.0:
             for n in range(4):
-                k = state.row_slot[row, n]
-                if k >= 0:
-                    for i in range(3):
-                        y[k, i] += force * state.J[row, n, i]
-    solve(model.pattern, state.A_lower, state.A_inverse, y)
-    for k in range(y.shape[0]):
+                k = row_slot[row, n]
+                for i in range(3):
+                    y[k, i] += force * J[row, n, i]
+    solve(model.pattern, state.L_lower, state.L_inverse, y)
+    for k in range(free.shape[0]):
         for i in range(3):
-            state.v[model.free[k], i] += y[k, i]
+            v[free[k], i] += y[k, i]

@@ -6,13 +6,20 @@ import enum
 from typing import TYPE_CHECKING
 
 from ..arrays import Floats
+from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
 from .elasticity import assemble
 from .kinematics import kinematics
-from .linear_solver import factor, solve
+from .lanes import load4, splat8, store4, store8
+from .linear_solver import solve
+from .methods import NEWTON, PGS
+from .newton import newton, refactor
 from .pgs import apply_rows, inverse_between, solve_rows, touched_nodes
-from .strain_limits import NONE, limit_rows, strain_ratio
+from .rows import finish_rows
+from .strain_limits import NONE, TENSOR, limit_rows, strain_ratio
+from .tensor_limit import DIRECTIONS, find_near, greatest_strain, tensor_rows
+from .vectors import add, copy
 
 if TYPE_CHECKING:
     from .model import Model, State
@@ -46,61 +53,119 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
 
     targets (nd, 3): where the driven nodes are to be at the end [m], world.
 
-    state.F, U, s, V hold the kinematics of the start (Eq. 1-4), those of the end are left for the next step.
+    state.R, E (F, U, s, V) hold the kinematics of the start (Eq. 1-4), those of the end are left for the next step.
     After STEP_REJECTED the positions are those of the start and the velocities are of no use: set both anew.
     """
     state.result[:] = 0.0
+    lap(state.laps, state.time, OUTPUT)
     drive(model, state, targets, h)
-
-    assemble(model, state, h)  # A and b: backward Euler, forces linearised at the start
-    definite = factor(model.pattern, state.A_diagonal, state.A_lower, state.A_inverse)
-    free_velocity(model, state)  # v_free = A⁻¹ b: the unconstrained step
-
-    status = 0
-    contacts = rows = 0
-    if model.has_plane:
-        rows = contact_rows(model, state, h, rows)
-        if rows < 0:
-            rows, status = (state.lam.shape[0] // 3) * 3, status | _ROW_LIMIT
-        contacts = rows
-    if model.projection != NONE:
-        rows = limit_rows(model, state, h, rows)  # Eq. 9-12, linearised (Eq. 13-18)
-        if rows < 0:
-            rows, status = state.lam.shape[0], status | _ROW_LIMIT
-    if rows > 0:
-        touched = touched_nodes(model, state, rows)
-        inverse_between(model, state, touched)
-        sweeps, residual = solve_rows(model, state, h, contacts, rows, touched)
-        apply_rows(model, state, rows)  # v = v_free + h A⁻¹ Jᵀ λ
-        state.result[ITERATIONS], state.result[RESIDUAL] = sweeps, residual
-        if not residual <= model.tolerance:
-            status |= _ITERATION_LIMIT
-
+    contacts, rows, definite = linear_step(model, state, h, 0)
+    for again in range(1, model.relinearizations + 1):
+        if definite and bounded(state.v, _FARTHEST * model.length / h):
+            relinearise(model, state, targets, h, again)
+            contacts, rows, definite = linear_step(model, state, h, again)
+    if model.relinearizations > 0:
+        copy(state.x, state.x_start)
     if not (definite and bounded(state.v, _FARTHEST * model.length / h)):
         state.result[STATUS] = _REJECTED
         return
     integrate(model, state, targets, h)  # x += h v
     kinematics(model, state)
-    state.result[STATUS] = status
+    lap(state.laps, state.time, KINEMATICS)
+    state.age[0] = (state.age[0] + 1) % model.hold
+    if model.projection == TENSOR:
+        find_near(model, state)
+    lap(state.laps, state.time, ROWS)
     observe(model, state, contacts, rows)
+    lap(state.laps, state.time, OUTPUT)
+
+
+@stage
+def linear_step(model: Model, state: State, h: float, again: int) -> tuple[int, int, bool]:
+    """Velocities of a step that is linearised at state.x: (contact rows, all rows, whether A is positive definite).
+
+    again: 0 where x is the step's start, else x and state.v_base are what linearisation number `again` gave before.
+    A is formed anew where state.age is 0: always, but at the level `lagged`.
+    """
+    anew = state.age[0] == 0
+    assemble(model, state, h, anew, again > 0)  # A and b: backward Euler
+    lap(state.laps, state.time, ASSEMBLY)
+    if model.method == PGS and not unconstrained(model, state, h):  # v_free = A⁻¹ b
+        return 0, 0, False
+    since_linearised(state, again)
+    contacts = contact_rows(model, state, h) if model.has_plane else 0
+    status = 0
+    if contacts < 0:
+        contacts, status = (state.lam.shape[0] // 3) * 3, _ROW_LIMIT
+    rows = contacts
+    if model.projection != NONE:  # Eq. 9-12, linearised (Eq. 13-18)
+        if model.projection == TENSOR:
+            rows = tensor_rows(model, state, h, contacts)
+        else:
+            rows = limit_rows(model, state, h, contacts)
+        if rows < 0:
+            rows, status = state.lam.shape[0], _ROW_LIMIT
+        finish_rows(model, state, h, contacts, rows)
+    lap(state.laps, state.time, ROWS)
+    iterations, residual, definite = 0, 0.0, True
+    if model.method == NEWTON:
+        iterations, residual, definite = newton(model, state, h, contacts, rows, anew)
+    elif rows > 0:
+        touched = touched_nodes(model, state, rows)
+        inverse_between(model, state, touched)
+        iterations, residual = solve_rows(model, state, h, contacts, rows, touched)
+        apply_rows(model, state, rows)  # v = v_free + h A⁻¹ Jᵀ λ
+    if not residual <= model.tolerance:
+        status |= _ITERATION_LIMIT
+    result = state.result
+    result[STATUS], result[RESIDUAL] = int(result[STATUS]) | status, residual
+    result[ITERATIONS] += iterations
+    lap(state.laps, state.time, SOLVE)
+    return contacts, rows, definite
+
+
+@stage
+def relinearise(model: Model, state: State, targets: Floats, h: float, again: int) -> None:
+    """Put state.x where the linear step just taken ends, to linearise there."""
+    if again == 1:
+        copy(state.x_start, state.x)
+    copy(state.x, state.x_start)
+    copy(state.v_base, state.v)
+    integrate(model, state, targets, h)
+    kinematics(model, state)
+    if model.projection == TENSOR:
+        find_near(model, state)
+
+
+@stage
+def since_linearised(state: State, again: int) -> None:
+    """state.moving: velocities that state.x has not yet moved by. Before the first linear step v_start is kept."""
+    if again > 0:
+        add(state.moving, state.v, state.v_base, -1.0)
+    else:
+        copy(state.moving, state.v)
 
 
 @stage
 def drive(model: Model, state: State, targets: Floats, h: float) -> None:
     """Velocities that take the driven nodes to their targets in this step."""
-    for d in range(model.driven.shape[0]):
-        n = model.driven[d]
+    driven, x, v, driven_velocity = model.driven, state.x, state.v, state.driven_velocity
+    for d in range(driven.shape[0]):
+        n = driven[d]
         for i in range(3):
-            state.v[n, i] = (targets[d, i] - state.x[n, i]) / h
+            v[n, i] = driven_velocity[n, i] = (targets[d, i] - x[n, i]) / h
 
 
 @stage
-def free_velocity(model: Model, state: State) -> None:
-    """Unconstrained velocities of the free nodes into state.v."""
-    solve(model.pattern, state.A_lower, state.A_inverse, state.rhs)
-    for k in range(model.free.shape[0]):
+def unconstrained(model: Model, state: State, h: float) -> bool:
+    """Velocities of the unconstrained step into state.v. False if A is not positive definite."""
+    definite = refactor(model, state, h, 0, 0, 0)
+    solve(model.pattern, state.L_lower, state.L_inverse, state.rhs)
+    free, v, rhs = model.free, state.v, state.rhs
+    for k in range(free.shape[0]):
         for i in range(3):
-            state.v[model.free[k], i] = state.rhs[k, i]
+            v[free[k], i] = rhs[k, i]
+    return definite
 
 
 @kernel
@@ -116,12 +181,12 @@ def bounded(v: Floats, bound: float) -> bool:
 @stage
 def integrate(model: Model, state: State, targets: Floats, h: float) -> None:
     """Positions at the end of the step; driven nodes are at their targets exactly."""
-    for n in range(state.x.shape[0]):
+    x, v, driven = state.x, state.v, model.driven
+    for n in range(x.shape[0]):
+        store4(x, n, 0, load4(x, n, 0) + load4(v, n, 0) * h)
+    for d in range(driven.shape[0]):
         for i in range(3):
-            state.x[n, i] += h * state.v[n, i]
-    for d in range(model.driven.shape[0]):
-        for i in range(3):
-            state.x[model.driven[d], i] = targets[d, i]
+            x[driven[d], i] = targets[d, i]
 
 
 @stage
@@ -133,24 +198,38 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
         result[CONTACTS] = store_contact(model, state, contacts)
         result[PENETRATION] = deepest(model, state)
     if model.projection != NONE:
-        strain_ratio(model, state)
-        state.warm_limit[:] = 0.0
-        state.active_rows[:] = 0
+        if model.projection == TENSOR:
+            result[STRAIN_RATIO] = greatest_strain(model, state)
+        else:
+            strain_ratio(model, state)
+            result[STRAIN_RATIO] = state.strain_ratio.max()
+        active_rows, warm, lam = state.active_rows, state.warm_limit, state.lam
+        row_tet, row_key, row_side, moves = state.row_tet, state.row_key, state.row_side, model.tet_moves
+        keeps = model.method == PGS
+        counted = 2 * DIRECTIONS if model.projection == TENSOR else 9
+        if keeps:
+            warm[:] = 0.0
+        limit_force = state.limit_force
+        follows = limit_force.shape[0] > 0
+        for b in range(limit_force.shape[0]):
+            store8(limit_force, b, 0, splat8(0.0))
+        active_rows[:] = 0
         for row in range(contacts, rows):
-            if state.lam[row] > 0.0:
-                t, key = state.row_tet[row], state.row_key[row]
-                state.active_rows[t] += 1
-                stretched = state.row_side[row]
-                state.warm_limit[t, key // 3, key % 3] = state.lam[row] * stretched
-    for t in range(model.tets.shape[0]):
-        active = state.active_rows[t]
-        result[LIMIT_ROWS] += active
-        if active > 0:
-            result[LIMITED_TETS] += 1.0
-            if active > min(6, 3 * model.tet_moves[t]):
-                status |= _LOCKED
-        result[STRAIN_RATIO] = max(result[STRAIN_RATIO], state.strain_ratio[t])
-        s = state.s[t]
-        if s[0] < 0.0 or s[1] < 0.0 or s[2] < 0.0:
-            status |= _INVERTED
+            if lam[row] > 0.0:
+                t, key = row_tet[row], row_key[row]
+                if follows:
+                    limit_force[t // 8, t % 8] += lam[row]
+                if key < counted:
+                    active_rows[t] += 1
+                if keeps:
+                    warm[t, key] = lam[row] * row_side[row]
+        for t in range(active_rows.shape[0]):
+            active = active_rows[t]
+            result[LIMIT_ROWS] += active
+            if active > 0:
+                result[LIMITED_TETS] += 1.0
+                if active > min(6, 3 * moves[t]):
+                    status |= _LOCKED
+    if state.inverted[0] > 0:
+        status |= _INVERTED
     result[STATUS] = status

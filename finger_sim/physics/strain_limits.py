@@ -7,6 +7,8 @@ With F = U diag(s) Vᵀ in material axes, stretch room a⁺_j = s_max,j − 1 an
   ∂|V_ji|/∂F = sign(V_ji) Σ_{k≠i} V_jk (s_k u_k v_iᵀ + s_i u_i v_kᵀ) / (s_i² − s_k²).
 * `isotropic` (Eq. 9-10): C_i = a − |s_i − 1|, up to three rows, ∂s_i/∂F = u_i v_iᵀ.
 
+* `tensor`: see tensor_limit.py.
+
 The denominator vanishes where singular values cross (and at s_i = −s_k, inverted): its magnitude is kept at
 `gap` or more. A row of a tetrahedron becomes a row of the step by ∂C/∂x_n = (∂C/∂F) r_n.
 """
@@ -23,12 +25,13 @@ from ..arrays import Floats, Ints
 from ..scene import Limits
 from .compile import kernel, stage
 from .kinematics import signed_svd
+from .tensor_limit import evaluate_tensor, limit_factors
 
 if TYPE_CHECKING:
     from .model import Model, State
 
-NONE, HYPERBOLIC, ISOTROPIC = 0, 1, 2
-PROJECTIONS = {"hyperbolic": HYPERBOLIC, "isotropic": ISOTROPIC}
+NONE, HYPERBOLIC, ISOTROPIC, TENSOR = 0, 1, 2, 3
+PROJECTIONS = {"hyperbolic": HYPERBOLIC, "isotropic": ISOTROPIC, "tensor": TENSOR}
 
 SOLVER_GAP = 0.03  # |s_i² − s_k²| in a step's rows: what keeps a force near crossing singular values from exploding
 EXACT_GAP = 1e-12  # in `evaluate`: the plain derivative
@@ -43,16 +46,19 @@ def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floa
     """All limit rows of one tetrahedron with deformation gradient F, whether near their limit or not.
 
     F (3, 3) with columns in the material axes e1, e2, e3. Returns C (m,), dC_dF (m, 3, 3); C ≥ 0 is inside. Rows are
-    in the order of falling |s_i|, for each by material axis.
+    in the order of falling |s_i|, for each by material axis. `tensor`: C = 1 − λ, λ the eigenvalues of A⁺EA⁺ and of
+    −A⁻EA⁻, the least C first (three a side that has a limited axis): λ = strain/limit.
     `gap` bounds |s_i² − s_k²| from below in the gradient; a step uses SOLVER_GAP.
     Raises ValueError when F is not a finite 3 × 3 matrix.
     """
     F = np.array(F, dtype=np.float64)
     if F.shape != (3, 3) or not np.isfinite(F).all():
         raise ValueError(f"F: got {F!r}, allowed: a finite 3 x 3 matrix")
-    U, s, V = signed_svd(F)
     projection = PROJECTIONS[limits.projection]
     stretch, compress = limits.stretch_room, limits.compress_room
+    if projection == TENSOR:
+        return _evaluate_tensor(F, np.array([stretch, compress]))
+    U, s, V = signed_svd(F)
     C: list[float] = []
     gradients: list[Any] = []
     for i in np.argsort(-np.abs(s), kind="stable"):
@@ -64,6 +70,16 @@ def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floa
                 C.append(float(room - used(projection, s, V, i, j)))
                 gradients.append(np.outer(U[:, i], p) + np.outer(q, V[:, i]))
     return np.array(C), np.array(gradients).reshape(-1, 3, 3)
+
+
+def _evaluate_tensor(F: Floats, rooms: Floats) -> tuple[Floats, Floats]:
+    factors, C, dC_dF = np.empty((2, 9)), np.empty((2, 3)), np.empty((2, 3, 3, 3))
+    limit_factors(rooms, factors)
+    evaluate_tensor(np.repeat(F.reshape(9, 1), 8, axis=1), factors, C, dC_dF)
+    limited = np.repeat(np.isfinite(rooms).any(axis=1), 3)
+    values = C.ravel()[limited]
+    order = np.argsort(values, kind="stable")
+    return values[order], dC_dF.reshape(6, 3, 3)[limited][order]
 
 
 @kernel
@@ -100,80 +116,81 @@ def gradient(
             q[k] += w * s[m] * U[k, m]
 
 
-@kernel
+@stage
 def strain_ratio(model: Model, state: State) -> None:
     """strain/limit of every tetrahedron into state.strain_ratio (T,): 1 is exactly at its nearest limit."""
     axes = 3 if model.projection == HYPERBOLIC else 1
-    for t in range(model.tets.shape[0]):
-        s, V = state.s[t], state.V[t]
+    stretches, axes_of, ratio, projection = state.s, state.V, state.strain_ratio, model.projection
+    stretch_room, compress_room = model.stretch_room, model.compress_room
+    for t in range(ratio.shape[0]):
+        s, V = stretches[t], axes_of[t]
         worst = 0.0
         for i in range(3):
             for j in range(axes):
-                room = model.stretch_room[j] if s[i] >= 1.0 else model.compress_room[j]
+                room = stretch_room[j] if s[i] >= 1.0 else compress_room[j]
                 if room < math.inf:
-                    excess = used(model.projection, s, V, i, j) - room
+                    excess = used(projection, s, V, i, j) - room
                     worst = max(worst, 1.0 + excess / max(room, _RATIO_ROOM))
-        state.strain_ratio[t] = worst
+        ratio[t] = worst
 
 
 @stage
 def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
-    """Append the rows that are near their limit, now or after the unconstrained step; return the number of rows.
+    """Append the rows that are near their limit, now or at the end of the step; return the number of rows.
 
-    Writes state.J (rows, 4, 3) [1/m], row_slot, constant C + h J v_free, compliance [1/(N m)], scale (N per unit
-    of λ), lam (warm start [N m]) and the row's key: tetrahedron, i, j. -1 when the arrays hold no more rows.
+    Writes state.J (rows, 4, 4) [1/m], row_slot, constant C + h J v at state.v, and the row's key: tetrahedron, i, j
+    and side; the rest is for `finish_rows`. -1 when the arrays hold no more rows.
     """
     axes = 3 if model.projection == HYPERBOLIC else 1
     p, q = state.P[0], state.P[1]
     margin = _MARGIN if model.limit_compliance > 0.0 else _RIGID_MARGIN
     least = _NO_GRADIENT / model.length**2
-    for o in range(model.tets.shape[0]):
-        t = model.tet_order[o]
-        if not model.tet_moves[t]:
+    nf = model.free.shape[0]
+    tets, order, moves, gradients, tet_slot = (
+        model.tets, model.tet_order, model.tet_moves, model.gradients, model.tet_slot
+    )  # fmt: skip
+    left, stretches, right, velocities, scratch = state.U, state.s, state.V, state.moving, state.D
+    all_J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key
+    row_side, constant, projection = state.row_side, state.constant, model.projection
+    stretch_room, compress_room = model.stretch_room, model.compress_room
+    for o in range(order.shape[0]):
+        t = order[o]
+        if not moves[t]:
             continue
-        U, s, V, r = state.U[t], state.s[t], state.V[t], model.gradients[t]
+        U, s, V, r = left[t], stretches[t], right[t], gradients[t]
         reach = -1.0
         for i in range(3):
             stretched = s[i] >= 1.0
             for j in range(axes):
-                room = model.stretch_room[j] if stretched else model.compress_room[j]
+                room = stretch_room[j] if stretched else compress_room[j]
                 if not room < math.inf:
                     continue
-                C = room - used(model.projection, s, V, i, j)
+                C = room - used(projection, s, V, i, j)
                 near = margin * room
                 if near < C:
                     if reach < 0.0:
-                        reach = h * _strain_rate(model.tets[t], state.v, r, U, V, state.D)
+                        reach = h * _strain_rate(tets[t], velocities, r, U, V, scratch)
                     if C - reach > near:
                         continue
-                gradient(model.projection, U, s, V, i, j, SOLVER_GAP, p, q)
-                ahead = C
-                force = 0.0
-                if rows >= state.lam.shape[0]:
+                gradient(projection, U, s, V, i, j, SOLVER_GAP, p, q)
+                change = force = 0.0
+                if rows >= row_tet.shape[0]:
                     return -1
-                J = state.J[rows]
+                J = all_J[rows]
                 for n in range(4):
-                    v = state.v[model.tets[t, n]]
-                    free = 1.0 if model.tet_slot[t, n] >= 0 else 0.0
+                    v, slot = velocities[tets[t, n]], tet_slot[t, n]
                     a = p[0] * r[n, 0] + p[1] * r[n, 1] + p[2] * r[n, 2]
                     b = V[0, i] * r[n, 0] + V[1, i] * r[n, 1] + V[2, i] * r[n, 2]
                     for k in range(3):
                         g = U[k, i] * a + q[k] * b
                         J[n, k] = g
-                        ahead += h * g * v[k]
-                        force += free * g * g
-                if (near < C and ahead > near) or force <= least:
+                        change += g * v[k]
+                        force += g * g if slot < nf else 0.0
+                    row_slot[rows, n] = slot
+                if (near < C and C + h * change > near) or force <= least:
                     continue
-                for n in range(4):
-                    state.row_slot[rows, n] = model.tet_slot[t, n]
-                state.row_tet[rows] = t
-                state.row_key[rows] = 3 * i + j
-                state.row_side[rows] = 1.0 if stretched else -1.0
-                state.constant[rows] = ahead
-                state.compliance[rows] = model.limit_compliance / model.volume[t]
-                state.scale[rows] = math.sqrt(0.5 * force)
-                same_side = (state.warm_limit[t, i, j] > 0.0) == stretched
-                state.lam[rows] = abs(state.warm_limit[t, i, j]) if same_side else 0.0
+                row_tet[rows], row_key[rows] = t, 3 * i + j
+                row_side[rows], constant[rows] = 1.0 if stretched else -1.0, C + h * change
                 rows += 1
     return rows
 

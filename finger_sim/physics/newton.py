@@ -1,0 +1,294 @@
+r"""Primal semismooth Newton on the rows of a step: as sparse as the elastic matrix, however many limits hold.
+
+With compliances ε > 0 the step of `pgs` is a problem in the velocities alone. In δ, the change of the free nodes'
+velocities since the rows were formed,
+
+    r(δ) = b − A (v + δ) + h Σ_i J_iᵀ λ_i = 0,    λ_i = max(0, −g_i) / ε_i,    g_i = constant_i + h J_i δ,
+
+and for the tangents of a contact λ_t = τ min(1, μ λ_n / |τ|), τ_t = −g_t / ε_t: the exact Coulomb cone. A limit row
+couples the four nodes of its tetrahedron only, a contact one node: the Hessian
+
+    H = A + h² Σ_{λ_i > 0} J_iᵀ J_i / ε_i + contacts
+
+has the pattern of A. It is kept symmetric; that friction grows with the normal force, μ t nᵀ / ε, is brought in by a
+few more solves with the same factors where nodes slip. A step is taken whole unless dᵀr says that it went too far: r is
+minus the gradient of a convex merit function (but for friction), so that its zero along d is the least merit. What is
+kept is the iterate with the least force missing, so that a step that stops early is never worse than its start.
+Typically one factorisation a step: the rows that held before hold again.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from ..arrays import Floats
+from .clock import FACTOR, SOLVE, lap, seconds
+from .compile import formula, stage
+from .elasticity import slot_velocities
+from .lanes import Lanes, lane, load4, splat4, store4, sum3
+from .linear_solver import factor, solve
+from .vectors import add, clear, copy, copy_first, inner, subtract_product
+
+if TYPE_CHECKING:
+    from .model import Model, State
+
+FLOOR = 1e-3  # forces are judged relative to the largest row force, and no finer than this part of G · length²
+_CORRECTIONS = 2  # solves that bring friction's unsymmetric part in
+_SLACK = 0.5  # a line search ends where dᵀr is within so much of what it was to either side of 0
+_TRIALS = 12
+_STALLED, _PROGRESS = 20, 0.9  # so many iterations without that much progress end a step
+_SLOW = 0.3  # an iteration that leaves more of the residual than this asks for new factors
+OPEN, STICKS, SLIPS = 0.0, 1.0, 2.0
+_STICKING, _SLIPPING = 1 << 20, 1 << 40  # places in the number that counts what holds
+
+
+@stage
+def newton(model: Model, state: State, h: float, contacts: int, rows: int, anew: bool) -> tuple[int, float, bool]:
+    """Velocities of the free nodes into state.v, row forces into state.lam[:rows]. (iterations, residual, definite).
+
+    anew: A is not the one that was last factored. If it is, and as many rows hold as then, its factors serve again.
+
+    The residual is the largest force missing at any node [N], relative to the largest row force.
+    """
+    began = seconds(state.time) if model.deadline > 0.0 else 0.0
+    remainder(model, state)
+    change, tried, direction, best, best_change = (
+        state.change, state.tried, state.direction, state.best, state.best_change
+    )  # fmt: skip
+    lam = state.lam
+    if rows == 0:
+        copy(direction, state.start_residual)
+        lap(state.laps, state.time, SOLVE)
+        definite = not (anew or state.factored_holds[0] != 0) or refactor(model, state, h, 0, 0, 0)
+        lap(state.laps, state.time, FACTOR)
+        solve(model.pattern, state.L_lower, state.L_inverse, direction)
+        add_to_velocities(model, state, direction)
+        return 0, 0.0, definite
+    clear(change)
+    residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, change)
+    if not missing < math.inf:
+        return 0, residual, False
+    stale = anew or holds != state.factored_holds[0]
+    changed = False
+    copy_first(state.factored, state.stiffness, rows)
+    least, least_missing, iterations, stalled = residual, missing, 0, 0
+    clear(best_change)
+    copy_first(best, lam, rows)
+    while residual > model.tolerance and iterations < model.max_iterations:
+        if model.deadline > 0.0 and iterations > 0 and seconds(state.time) - began > model.deadline:
+            break
+        if changed or stale:
+            lap(state.laps, state.time, SOLVE)
+            definite = refactor(model, state, h, contacts, rows, holds)
+            lap(state.laps, state.time, FACTOR)
+            if not definite:
+                return iterations, residual, False
+        before = residual
+        ascent = newton_direction(model, state, h, contacts)
+        part, low, high, low_ahead, high_ahead = 1.0, 0.0, 1.0, ascent, -ascent
+        for trial in range(_TRIALS):
+            add(tried, change, direction, part)
+            residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, tried)
+            ahead = inner(direction, state.next_residual)
+            if (ahead >= -_SLACK * ascent and (ahead <= _SLACK * ascent or trial == 0)) or residual <= model.tolerance:
+                break
+            if ahead > 0.0:
+                low, low_ahead, high_ahead = part, ahead, 0.5 * high_ahead if trial > 1 else high_ahead
+            else:
+                high, high_ahead, low_ahead = part, ahead, 0.5 * low_ahead if trial > 1 else low_ahead
+            part = low + (high - low) * max(0.05, min(0.95, low_ahead / (low_ahead - high_ahead)))
+        iterations += 1
+        copy(change, tried)
+        stalled += 1
+        if missing < least_missing:
+            stalled = 0 if missing < _PROGRESS * least_missing else stalled
+            least, least_missing = residual, missing
+            copy(best_change, change)
+            copy_first(best, lam, rows)
+        if stalled >= _STALLED or not missing < math.inf:
+            break
+        stale = residual > _SLOW * before
+    copy_first(lam, best, rows)
+    add_to_velocities(model, state, best_change)
+    return iterations, least, True
+
+
+@stage
+def newton_direction(model: Model, state: State, h: float, contacts: int) -> float:
+    """H⁻¹ r into state.direction, friction's unsymmetric part included; returns dᵀr."""
+    direction, other, r, J = state.direction, state.tried, state.next_residual, state.J
+    pattern, lower, inverse, slip, stiffness = (
+        model.pattern, state.L_lower, state.L_inverse, state.slip, state.stiffness
+    )  # fmt: skip
+    row_slot = state.row_slot
+    copy(direction, r)
+    solve(pattern, lower, inverse, direction)
+    ascent = inner(direction, r)
+    for _ in range(_CORRECTIONS):
+        slips = False
+        copy(other, r)
+        for c in range(contacts // 3):
+            if slip[c, 3] > 0.0 and stiffness[3 * c] > 0.0:
+                slips = True
+                slot = row_slot[3 * c, 0]
+                pressed = sum3(load4(J, 3 * c, 0) * load4(direction, slot, 0))
+                push = h * h * slip[c, 3] * stiffness[3 * c] * pressed
+                store4(other, slot, 0, load4(other, slot, 0) - load4(slip, c, 0) * push)
+        if not slips:
+            break
+        solve(pattern, lower, inverse, other)
+        along = inner(other, r)
+        if not along > 0.0:
+            break
+        copy(direction, other)
+        ascent = along
+    return ascent
+
+
+@stage
+def remainder(model: Model, state: State) -> None:
+    """b − A v of the free nodes' velocities into state.start_residual."""
+    slot_velocities(model, state)
+    copy(state.start_residual, state.rhs)
+    subtract_product(model.block_row, model.block_column, state.A, state.slot_velocity, state.start_residual)
+
+
+@stage
+def evaluate(
+    model: Model, state: State, h: float, contacts: int, rows: int, change: Floats
+) -> tuple[float, float, int, bool]:
+    """r at δ = `change` into state.next_residual; row forces, what they add to the Hessian, and slip directions.
+
+    Returns the residual; the largest force missing [N]; how many limits hold and contacts stick and slip, as one
+    number; and whether these are other ones than in the factors at hand.
+    """
+    r, J, lam, row_slot, scale = state.next_residual, state.J, state.lam, state.row_slot, state.scale
+    constant, compliance, stiffness, factored, slip = (
+        state.constant, state.compliance, state.stiffness, state.factored, state.slip
+    )  # fmt: skip
+    mu_friction = model.mu_friction
+    copy(r, state.start_residual)
+    subtract_product(model.block_row, model.block_column, state.A, change, r)
+    largest, held, changed = 0.0, 0, False
+    for c in range(contacts // 3):
+        row = 3 * c
+        slot = row_slot[row, 0]
+        d = load4(change, slot, 0)
+        n, t1, t2 = load4(J, row, 0), load4(J, row + 1, 0), load4(J, row + 2, 0)
+        normal = -(constant[row] + h * sum3(n * d)) / compliance[row]
+        slip[c] = 0.0
+        holds = OPEN
+        if normal > 0.0:
+            a = -(constant[row + 1] + h * sum3(t1 * d)) / compliance[row + 1]
+            b = -(constant[row + 2] + h * sum3(t2 * d)) / compliance[row + 2]
+            size, cone = math.sqrt(a * a + b * b), mu_friction * normal
+            holds, share = STICKS, 1.0
+            held += _STICKING
+            if size > cone:
+                holds, share = SLIPS, cone / size
+                held += _SLIPPING
+                store4(slip, c, 0, t1 * (a / size) + t2 * (b / size))
+                slip[c, 3] = mu_friction
+            lam[row], lam[row + 1], lam[row + 2] = normal, a * share, b * share
+            stiffness[row], stiffness[row + 1] = 1.0 / compliance[row], share / compliance[row]
+            force = n * (h * normal) + t1 * (h * a * share) + t2 * (h * b * share)
+            store4(r, slot, 0, load4(r, slot, 0) + force)
+            largest = max(largest, normal)
+        else:
+            lam[row] = lam[row + 1] = lam[row + 2] = stiffness[row] = stiffness[row + 1] = 0.0
+        stiffness[row + 2] = holds
+        changed |= holds != factored[row + 2]
+    for row in range(contacts, rows):
+        s0, s1, s2, s3 = row_slot[row, 0], row_slot[row, 1], row_slot[row, 2], row_slot[row, 3]
+        j0, j1, j2, j3 = load4(J, row, 0), load4(J, row, 1), load4(J, row, 2), load4(J, row, 3)
+        moved = j0 * load4(change, s0, 0) + j1 * load4(change, s1, 0)
+        moved = moved + j2 * load4(change, s2, 0) + j3 * load4(change, s3, 0)
+        force = -(constant[row] + h * sum3(moved)) / compliance[row]
+        if force > 0.0:
+            lam[row], stiffness[row] = force, 1.0 / compliance[row]
+            held += 1
+            largest = max(largest, force * scale[row])
+            force *= h
+            store4(r, s0, 0, load4(r, s0, 0) + j0 * force)
+            store4(r, s1, 0, load4(r, s1, 0) + j1 * force)
+            store4(r, s2, 0, load4(r, s2, 0) + j2 * force)
+            store4(r, s3, 0, load4(r, s3, 0) + j3 * force)
+        else:
+            lam[row] = stiffness[row] = 0.0
+        changed |= (stiffness[row] > 0.0) != (factored[row] > 0.0)
+    store4(r, r.shape[0] - 1, 0, splat4(0.0))
+    worst = total = 0.0
+    for k in range(r.shape[0]):
+        force = load4(r, k, 0)
+        size = sum3(force * force)
+        worst = max(worst, size)
+        total += size
+    if not total < math.inf:  # max() passes over what is not a number
+        return math.inf, math.inf, held, changed
+    missing = math.sqrt(worst) / h
+    floor = FLOOR * model.lame_mu * model.length * model.length
+    return missing / max(largest, floor), missing, held, changed
+
+
+@stage
+def refactor(model: Model, state: State, h: float, contacts: int, rows: int, holds: int) -> bool:
+    """Factors of H at the rows that hold now (state.stiffness). False if H is not positive definite."""
+    nf, J, A, D, L = model.free.shape[0], state.J, state.A, state.L_diagonal, state.L_lower
+    block_place, tet_place, pair_row, pair_column = (
+        model.block_place, model.tet_place, model.pair_row, model.pair_column
+    )  # fmt: skip
+    stiffness, slip, row_slot, row_tet = state.stiffness, state.slip, state.row_slot, state.row_tet
+    for k in range(nf):
+        for j in range(3):
+            store4(D, k, j, load4(A, k, j))
+    for p in range(L.shape[0]):
+        for j in range(3):
+            store4(L, p, j, splat4(0.0))
+    for p in range(block_place.shape[0]):
+        for j in range(3):
+            store4(L, block_place[p], j, load4(A, nf + p, j))
+    copy_first(state.factored, stiffness, rows)
+    state.factored_holds[0] = holds
+    for c in range(contacts // 3):
+        row = 3 * c
+        if stiffness[row] > 0.0:
+            normal, tangent = h * h * stiffness[row], h * h * stiffness[row + 1]
+            add_contact(D, row_slot[row, 0], J, row, load4(slip, c, 0), normal, tangent)
+    for row in range(contacts, rows):
+        if stiffness[row] > 0.0:
+            weight, t = h * h * stiffness[row], row_tet[row]
+            for e in range(10):
+                place = tet_place[t, e]
+                if place < 0:
+                    continue
+                i, k = pair_row[t, e], pair_column[t, e]
+                if i == k:
+                    add_outer(D, place, load4(J, row, i) * weight, J, row, k)
+                else:
+                    add_outer(L, place, load4(J, row, i) * weight, J, row, k)
+    return factor(model.pattern, D, L, state.L_inverse)
+
+
+@formula
+def add_contact(D: Floats, slot: int, frame: Floats, row: int, s: Lanes, normal: float, tangent: float) -> None:
+    """normal · n nᵀ + tangent · (I − n nᵀ − s sᵀ) onto a node's block; n t₁ t₂: frame[row …], s: slip direction."""
+    n, t1, t2 = load4(frame, row, 0), load4(frame, row + 1, 0), load4(frame, row + 2, 0)
+    for j in range(3):
+        column = n * (normal * lane(n, j)) + (t1 * lane(t1, j) + t2 * lane(t2, j) - s * lane(s, j)) * tangent
+        store4(D, slot, j, load4(D, slot, j) + column)
+
+
+@formula
+def add_outer(B: Floats, p: int, a: Lanes, J: Floats, row: int, n: int) -> None:
+    """a J[row, n]ᵀ onto block p of B."""
+    for j in range(3):
+        store4(B, p, j, load4(B, p, j) + a * J[row, n, j])
+
+
+@stage
+def add_to_velocities(model: Model, state: State, change: Floats) -> None:
+    """Free nodes' velocities at δ."""
+    v, free = state.v, model.free
+    for k in range(free.shape[0]):
+        store4(v, free[k], 0, load4(v, free[k], 0) + load4(change, k, 0))

@@ -1,0 +1,39 @@
+"""What all limit rows of a step have in common: how far they give, how they are judged, their warm start."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from .compile import stage
+from .lanes import load4, sum3
+
+if TYPE_CHECKING:
+    from .model import Model, State
+
+
+@stage
+def finish_rows(model: Model, state: State, h: float, first: int, rows: int) -> None:
+    """compliance, scale and lam of the rows from `first` on; the rest of them is there (J, row_slot, row_tet, …).
+
+    A limit gives by λ / k, k = max(κ E V, k_m / (h² J M⁻¹ Jᵀ)): what is soft against the inertia that the step sees is
+    no limit. κ = ∞ (model.limit_compliance 0): rigid.
+    """
+    J, row_slot, row_tet, row_key, row_side = state.J, state.row_slot, state.row_tet, state.row_key, state.row_side
+    compliances, scale, lam, warm_limit = state.compliance, state.scale, state.lam, state.warm_limit
+    mobility, volume, nf = model.mobility, model.volume, model.free.shape[0]
+    for row in range(first, rows):
+        tet = row_tet[row]
+        force = moved = 0.0
+        for n in range(4):
+            j, slot = load4(J, row, n), row_slot[row, n]
+            size = sum3(j * j)
+            moved += size * mobility[slot]
+            force += size if slot < nf else 0.0
+        compliance = model.limit_compliance / volume[tet]
+        if model.limit_inertia > 0.0:
+            compliance = min(compliance, h * h * moved / model.limit_inertia)
+        compliances[row] = compliance
+        scale[row] = math.sqrt(0.5 * force)
+        warm = warm_limit[tet, row_key[row]]
+        lam[row] = abs(warm) if (warm > 0.0) == (row_side[row] > 0.0) else 0.0

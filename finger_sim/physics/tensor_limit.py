@@ -1,0 +1,378 @@
+r"""The `tensor` limit: one bound for all directions, beyond the paper.
+
+Rooms a⁺_j, a⁻_j along the material axes (∞: free) bound the Biot strain E = RᵀF − I as a tensor,
+
+    λ_max(A⁺ E A⁺) ≤ 1,    λ_min(A⁻ E A⁻) ≥ −1,    A = diag(1/√a), 0 on a free axis.
+
+Equal rooms give the isotropic limit in every direction (`hyperbolic` allows √3 more along (1, 1, 1)); a single
+limited axis bounds that axis's own strain E_jj; shear is bounded too, E_12² ≤ (a_1 − E_11)(a_2 − E_22). There is no
+singular value decomposition in it, and no singular gradient but at s_a = −s_b (inverted): with q a unit eigenvector
+of A E A, y = A q and U = I + E,
+
+    ∂λ/∂F = R (y yᵀ − [h]×),    h = (tr(U) I − U)⁻¹ (U y × y).
+
+Every eigenvalue near its limit has a row, C = (1 − λ)/|y|²: the room along y less the strain used up, as in the other
+projections. Where two of them nearly coincide their eigenvectors are free to turn, and rows for these alone would let
+strain through between them: qᵀ A E A q ≤ 1 holds for every unit q, with the same gradient, and the two q halfway
+between them get rows too. Tetrahedra far from all limits are passed over by a bound that cannot miss one,
+λ_max(B) ≤ tr B/3 + √(2/3) |dev B|.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..arrays import Floats, Ints
+from .compile import formula, kernel, stage
+from .lanes import (
+    Lanes,
+    absolute,
+    bits,
+    lane,
+    load4,
+    load8,
+    maximum,
+    scatter3,
+    splat8,
+    sqrt,
+    store4,
+    store8,
+    sum3,
+    where,
+)  # fmt: skip
+from .polar import Matrix, Vector, load_matrix, polar
+
+if TYPE_CHECKING:
+    from .model import Model, State
+
+Symmetric = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]  # 00 11 22 12 02 01
+
+NEAR = 0.85  # strain/limit from which on a row is formed, now or after a step at the velocities of now
+_WORTH = 0.5  # eigenvalues below are not looked at any closer
+_COINCIDE = 0.1  # strain/limit that two eigenvalues near their limit may differ by to be taken as one
+# Directions of the rows: the eigenvectors, then those halfway between two of them, on either side.
+_FIRST, _SECOND = (0, 1, 2, 0, 0, 0, 0, 1, 1), (0, 1, 2, 1, 1, 2, 2, 2, 2)
+_SIGN = (1.0, 1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0)
+DIRECTIONS = 3  # of them are eigenvectors
+_SWEEPS = 10  # of Jacobi's method: 3 to 4 in practice
+_ROUND_OFF = 1e-31  # off-diagonal part squared, of the whole, that ends them
+_LEAST_DET = 1e-6  # of tr(U) I − U, 8 at rest: it vanishes where s_a = −s_b
+_NO_GRADIENT = 1e-20  # |J|² at free nodes, in units of the tetrahedra's size, of a row that nothing can move
+LEAST_ROOM = 1e-6  # rooms below count as this
+
+
+@kernel
+def limit_factors(rooms: Floats, factors: Floats) -> None:
+    """± 1/√(a_i a_j) in the order 00 11 22 12 02 01, and 1/√a_j: factors (2, 9) out; rooms (2, 3), ∞: free."""
+    for side in range(2):
+        for j in range(3):
+            free = not rooms[side, j] < math.inf
+            factors[side, 6 + j] = 0.0 if free else 1.0 / math.sqrt(max(rooms[side, j], LEAST_ROOM))
+        w0, w1, w2 = factors[side, 6], factors[side, 7], factors[side, 8]
+        sign = 1.0 if side == 0 else -1.0
+        factors[side, 0], factors[side, 1], factors[side, 2] = sign * w0 * w0, sign * w1 * w1, sign * w2 * w2
+        factors[side, 3], factors[side, 4], factors[side, 5] = sign * w1 * w2, sign * w0 * w2, sign * w0 * w1
+
+
+@formula
+def upper_bound(B: Symmetric) -> Lanes:
+    """No eigenvalue of B is larger: tr B/3 + √(2/3) |dev B|."""
+    b0, b1, b2, b3, b4, b5 = B
+    mean = (b0 + b1 + b2) * (1.0 / 3.0)
+    d0, d1, d2 = b0 - mean, b1 - mean, b2 - mean
+    return mean + sqrt((d0 * d0 + d1 * d1 + d2 * d2 + 2.0 * (b3 * b3 + b4 * b4 + b5 * b5)) * (2.0 / 3.0))
+
+
+@formula
+def _turn(
+    pp: Lanes, qq: Lanes, pq: Lanes, rp: Lanes, rq: Lanes, u: Vector, v: Vector
+) -> tuple[Lanes, Lanes, Lanes, Lanes, Vector, Vector]:
+    """Jacobi's rotation that makes pq vanish; u, v columns p and q of the eigenvectors."""
+    d, o = qq - pp, pq + pq
+    below = absolute(d) + sqrt(d * d + o * o)
+    t = where(d < 0.0, -o, o) / where(below > 0.0, below, splat8(1.0))
+    c = 1.0 / sqrt(1.0 + t * t)
+    s = t * c
+    u0, u1, u2 = u
+    v0, v1, v2 = v
+    return (
+        pp - t * pq, qq + t * pq, c * rp - s * rq, s * rp + c * rq,
+        (c * u0 - s * v0, c * u1 - s * v1, c * u2 - s * v2), (s * u0 + c * v0, s * u1 + c * v1, s * u2 + c * v2),
+    )  # fmt: skip
+
+
+@stage
+def eigen(B: Symmetric) -> tuple[Vector, Vector, Vector, Vector]:
+    """Eigenvalues of B, each with the axis its eigenvector is nearest to, and the unit eigenvectors, by columns."""
+    b0, b1, b2, b3, b4, b5 = B
+    one, zero = splat8(1.0), splat8(0.0)
+    u, v, w = (one, zero, zero), (zero, one, zero), (zero, zero, one)
+    for _ in range(_SWEEPS):
+        off = b3 * b3 + b4 * b4 + b5 * b5
+        if bits(off > _ROUND_OFF * (b0 * b0 + b1 * b1 + b2 * b2)) == 0:
+            break
+        b0, b1, b4, b3, u, v = _turn(b0, b1, b5, b4, b3, u, v)
+        b5 = zero
+        b0, b2, b5, b3, u, w = _turn(b0, b2, b4, b5, b3, u, w)
+        b4 = zero
+        b1, b2, b5, b4, v, w = _turn(b1, b2, b3, b5, b4, v, w)
+        b3 = zero
+    return (b0, b1, b2), u, v, w
+
+
+@formula
+def gradient(R: Matrix, E: Symmetric, y: Vector) -> Matrix:
+    """∂λ/∂F = R (y yᵀ − [h]×) by rows."""
+    e0, e1, e2, e3, e4, e5 = E
+    y0, y1, y2 = y
+    u0, u1, u2 = e0 + 1.0, e1 + 1.0, e2 + 1.0
+    p0, p1, p2 = u0 * y0 + e5 * y1 + e4 * y2, e5 * y0 + u1 * y1 + e3 * y2, e4 * y0 + e3 * y1 + u2 * y2
+    z0, z1, z2 = p1 * y2 - p2 * y1, p2 * y0 - p0 * y2, p0 * y1 - p1 * y0
+    t0, t1, t2 = u1 + u2, u0 + u2, u0 + u1
+    c00, c01, c02 = t1 * t2 - e3 * e3, e4 * e3 + e5 * t2, e5 * e3 + e4 * t1
+    c11, c12, c22 = t0 * t2 - e4 * e4, e5 * e4 + t0 * e3, t0 * t1 - e5 * e5
+    over = 1.0 / maximum(t0 * c00 - e5 * c01 - e4 * c02, splat8(_LEAST_DET))
+    h0, h1, h2 = (
+        over * (c00 * z0 + c01 * z1 + c02 * z2),
+        over * (c01 * z0 + c11 * z1 + c12 * z2),
+        over * (c02 * z0 + c12 * z1 + c22 * z2),
+    )
+    g00, g01, g02 = y0 * y0, y0 * y1 + h2, y0 * y2 - h1
+    g10, g11, g12 = y0 * y1 - h2, y1 * y1, y1 * y2 + h0
+    g20, g21, g22 = y0 * y2 + h1, y1 * y2 - h0, y2 * y2
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = R
+    return (
+        r0 * g00 + r1 * g10 + r2 * g20, r0 * g01 + r1 * g11 + r2 * g21, r0 * g02 + r1 * g12 + r2 * g22,
+        r3 * g00 + r4 * g10 + r5 * g20, r3 * g01 + r4 * g11 + r5 * g21, r3 * g02 + r4 * g12 + r5 * g22,
+        r6 * g00 + r7 * g10 + r8 * g20, r6 * g01 + r7 * g11 + r8 * g21, r6 * g02 + r7 * g12 + r8 * g22,
+    )  # fmt: skip
+
+
+@formula
+def load_symmetric(a: Floats, b: int) -> Symmetric:
+    """Eight symmetric matrices from entry b of a (…, 6, 8)."""
+    return load8(a, b, 0), load8(a, b, 1), load8(a, b, 2), load8(a, b, 3), load8(a, b, 4), load8(a, b, 5)
+
+
+@formula
+def scaled(E: Symmetric, factors: Floats, side: int) -> Symmetric:
+    """± A E A."""
+    e0, e1, e2, e3, e4, e5 = E
+    f = factors[side]
+    return e0 * f[0], e1 * f[1], e2 * f[2], e3 * f[3], e4 * f[4], e5 * f[5]
+
+
+@kernel
+def evaluate_tensor(F: Floats, factors: Floats, C: Floats, dC_dF: Floats) -> None:
+    """1 − λ and its gradient, of all three eigenvalues on both sides: C (2, 3), dC_dF (2, 3, 3, 3) out; F (9, 8)."""
+    quaternion = np.zeros((1, 4, 8))
+    quaternion[0, 3] = 1.0
+    R, U = polar(load_matrix(F.reshape((1, 9, 8)), 0), quaternion, 0, np.zeros((2, 4, 4)))
+    u0, u1, u2, u3, u4, u5, u6, u7, u8 = U
+    E = (u0 - 1.0, u4 - 1.0, u8 - 1.0, 0.5 * (u5 + u7), 0.5 * (u2 + u6), 0.5 * (u1 + u3))
+    for side in range(2):
+        f = factors[side]
+        sign = -1.0 if side == 0 else 1.0
+        values, u, v, w = eigen(scaled(E, factors, side))
+        for a, (q0, q1, q2) in enumerate((u, v, w)):
+            C[side, a] = 1.0 - lane(values[a], 0)
+            for e, entry in enumerate(gradient(R, E, (f[6] * q0, f[7] * q1, f[8] * q2))):
+                dC_dF[side, a, e // 3, e % 3] = sign * lane(entry, 0)
+
+
+@stage
+def find_near(model: Model, state: State) -> None:
+    """What may be at a limit at the state's positions or a step later, into state.near; its eigenpairs, state.eigen."""
+    count = 0
+    tets = model.tets.shape[0]
+    strains, factors, bounds, near, pairs = state.E, model.limit_factors, state.bound, state.near, state.eigen
+    scratch = state.stage
+    gathered = scratch.reshape((1, -1))
+    for side in range(2):
+        for b in range(strains.shape[0]):
+            bound = upper_bound(scaled(load_symmetric(strains, b), factors, side))
+            before = load8(bounds, b, side)
+            store8(bounds, b, side, bound)
+            found = bits(bound + maximum(bound - before, splat8(0.0)) > NEAR)
+            while found != 0:
+                l = 0
+                while not (found >> l) & 1:
+                    l += 1
+                found &= found - 1
+                if 8 * b + l < tets:
+                    near[count] = 2 * (8 * b + l) + side
+                    count += 1
+    state.near_count[0] = count
+    for group in range((count + 7) // 8):
+        _gather(near, 8 * group, count, strains, factors, scratch)
+        values, u, v, w = eigen(load_symmetric(gathered, 0))
+        _store_vector(pairs, group, 0, values)
+        _store_vector(pairs, group, 3, u)
+        _store_vector(pairs, group, 6, v)
+        _store_vector(pairs, group, 9, w)
+
+
+@stage
+def greatest_strain(model: Model, state: State) -> float:
+    """The largest strain/limit; 1 is exactly at the limit. Exact, also where nothing is near."""
+    greatest = 0.0
+    pairs, strains, factors, bounds = state.eigen, state.E, model.limit_factors, state.bound
+    for group in range((state.near_count[0] + 7) // 8):
+        for a in range(3):
+            for l in range(8):
+                greatest = max(greatest, pairs[group, a, l])
+    for side in range(2):
+        for b in range(strains.shape[0]):
+            if greatest < NEAR and bits(load8(bounds, b, side) > greatest) != 0:
+                greatest = max(greatest, _largest(batch_strain(strains, factors, b, side)))
+    return greatest
+
+
+@kernel
+def all_strains(model: Model, state: State) -> None:
+    """strain/limit of every tetrahedron into state.strain_ratio (T,); other projections have it there already."""
+    strains, factors, ratios = state.E, model.limit_factors, state.strain_ratio
+    if state.bound.shape[0] == 0:
+        return
+    ratios[:] = 0.0
+    for side in range(2):
+        for b in range(strains.shape[0]):
+            ratio = batch_strain(strains, factors, b, side)
+            for l in range(min(8, ratios.shape[0] - 8 * b)):
+                ratios[8 * b + l] = max(ratios[8 * b + l], lane(ratio, l))
+
+
+@stage
+def batch_strain(E: Floats, factors: Floats, b: int, side: int) -> Lanes:
+    """The largest eigenvalue of ± A E A of eight tetrahedra."""
+    (p, q, r), _, _, _ = eigen(scaled(load_symmetric(E, b), factors, side))
+    return maximum(maximum(p, q), r)
+
+
+@formula
+def _largest(v: Lanes) -> float:
+    greatest = lane(v, 0)
+    for l in range(1, 8):
+        greatest = max(greatest, lane(v, l))
+    return greatest
+
+
+@stage
+def _gather(near: Ints, first: int, count: int, E: Floats, factors: Floats, stage: Floats) -> None:
+    """± A E A of eight entries of `near` from `first` on (the last one again where they end) into stage[:6]."""
+    for l in range(8):
+        entry = near[min(first + l, count - 1)]
+        t, f = entry // 2, factors[entry % 2]
+        for c in range(6):
+            stage[c, l] = E[t // 8, c, t % 8] * f[c]
+
+
+@formula
+def _store_vector(a: Floats, b: int, k: int, v: Vector) -> None:
+    v0, v1, v2 = v
+    store8(a, b, k, v0)
+    store8(a, b, k + 1, v1)
+    store8(a, b, k + 2, v2)
+
+
+@formula
+def _direction(eigen: Floats, group: int, a: int, c: int, sign: float) -> tuple[Lanes, Lanes, Lanes, Lanes]:
+    """qᵀ B q and q of eigenvector a, or of the unit vector halfway between a and ± c."""
+    value, q0, q1, q2 = (
+        load8(eigen, group, a),
+        load8(eigen, group, 3 + 3 * a),
+        load8(eigen, group, 4 + 3 * a),
+        load8(eigen, group, 5 + 3 * a),
+    )
+    if a != c:
+        half, other = math.sqrt(0.5), sign * math.sqrt(0.5)
+        value = 0.5 * (value + load8(eigen, group, c))
+        q0 = half * q0 + other * load8(eigen, group, 3 + 3 * c)
+        q1 = half * q1 + other * load8(eigen, group, 4 + 3 * c)
+        q2 = half * q2 + other * load8(eigen, group, 5 + 3 * c)
+    return value, q0, q1, q2
+
+
+@stage
+def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
+    """Append a row for every eigenvalue in state.eigen that is near its limit, now or after h; return their number.
+
+
+    Two eigenvalues that nearly coincide have two more between them: their eigenvectors may turn within the step.
+    Writes what `limit_rows` does; a row's key is 2 · direction + side. -1: too many rows.
+    """
+    count = state.near_count[0]
+    least = _NO_GRADIENT / model.length**2
+    nf = model.free.shape[0]
+    stage, lane_J, pairs, near_list = state.stage, state.lane_J, state.eigen, state.near
+    rotations, strains, gradients, factors = state.R, state.E, model.lane_gradients, model.limit_factors
+    tets, tet_slot, velocities = model.tets, model.tet_slot, state.moving
+    J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key
+    row_side, constant = state.row_side, state.constant
+    whole = stage.reshape((1, -1))
+    for group in range((count + 7) // 8):
+        for l in range(8):
+            entry = near_list[min(8 * group + l, count - 1)]
+            t, side = entry // 2, entry % 2
+            b, i = t // 8, t % 8
+            for c in range(9):
+                stage[c, l] = rotations[b, c, i]
+                stage[15 + c, l] = gradients[b, c, i]
+            for c in range(6):
+                stage[9 + c, l] = strains[b, c, i]
+            for c in range(3):
+                stage[24 + c, l] = factors[side, 6 + c]
+            stage[27, l] = 1.0 if side == 0 else -1.0
+        R = load_matrix(whole, 0)
+        e0, e1, e2 = load8(whole, 0, 9), load8(whole, 0, 10), load8(whole, 0, 11)
+        E = (e0, e1, e2, load8(whole, 0, 12), load8(whole, 0, 13), load8(whole, 0, 14))
+        for d in range(9):
+            a, c = _FIRST[d], _SECOND[d]
+            value, q0, q1, q2 = _direction(pairs, group, a, c, _SIGN[d])
+            worth = bits(value > _WORTH)
+            if a != c:
+                p, q = load8(pairs, group, a), load8(pairs, group, c)
+                worth = bits((p > NEAR) & (q > NEAR) & (absolute(p - q) < _COINCIDE))
+            if worth == 0:
+                continue
+            y0, y1, y2 = load8(whole, 0, 24) * q0, load8(whole, 0, 25) * q1, load8(whole, 0, 26) * q2
+            size = y0 * y0 + y1 * y1 + y2 * y2
+            room = 1.0 / where(size > 0.0, size, splat8(1.0))
+            down = -load8(whole, 0, 27) * room
+            g0, g1, g2, g3, g4, g5, g6, g7, g8 = gradient(R, E, (y0, y1, y2))
+            s0, s1, s2 = splat8(0.0), splat8(0.0), splat8(0.0)
+            for n in range(3):
+                a0, a1, a2 = load8(whole, 0, 15 + 3 * n), load8(whole, 0, 16 + 3 * n), load8(whole, 0, 17 + 3 * n)
+                x = down * (g0 * a0 + g1 * a1 + g2 * a2)
+                y = down * (g3 * a0 + g4 * a1 + g5 * a2)
+                z = down * (g6 * a0 + g7 * a1 + g8 * a2)
+                scatter3(lane_J, 0, n, x, y, z)
+                s0, s1, s2 = s0 - x, s1 - y, s2 - z
+            scatter3(lane_J, 0, 3, s0, s1, s2)
+            for l in range(min(8, count - 8 * group)):
+                if not (worth >> l) & 1:
+                    continue
+                entry = near_list[8 * group + l]
+                t = entry // 2
+                if rows >= row_tet.shape[0]:
+                    return -1
+                C = lane(room, l) * (1.0 - lane(value, l))
+                change = force = 0.0
+                for n in range(4):
+                    node, slot = tets[t, n], tet_slot[t, n]
+                    j, v = load4(lane_J, l, n), load4(velocities, node, 0)
+                    change += sum3(j * v)
+                    force += sum3(j * j) if slot < nf else 0.0
+                    store4(J, rows, n, j)
+                    row_slot[rows, n] = slot
+                ahead = C + h * change
+                near = (1.0 - NEAR) * lane(room, l)
+                if (near < C and ahead > near) or force <= least:
+                    continue
+                row_tet[rows], row_key[rows] = t, 2 * d + entry % 2
+                row_side[rows], constant[rows] = 1.0 - 2.0 * (entry % 2), ahead
+                rows += 1
+    return rows

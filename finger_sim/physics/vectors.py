@@ -1,0 +1,61 @@
+"""Vectors of all free nodes, (nf + 1, 4), in slot order: the last one stands for driven nodes and is zero."""
+
+from __future__ import annotations
+
+from ..arrays import Floats, Ints
+from .compile import formula, stage
+from .lanes import load4, splat4, store4, sum3
+
+
+@formula
+def copy(out: Floats, values: Floats) -> None:
+    """out = values."""
+    for k in range(out.shape[0]):
+        store4(out, k, 0, load4(values, k, 0))
+
+
+@formula
+def clear(out: Floats) -> None:
+    """out = 0."""
+    for k in range(out.shape[0]):
+        store4(out, k, 0, splat4(0.0))
+
+
+@formula
+def add(out: Floats, a: Floats, b: Floats, part: float) -> None:
+    """out = a + part · b."""
+    for k in range(out.shape[0]):
+        store4(out, k, 0, load4(a, k, 0) + load4(b, k, 0) * part)
+
+
+@formula
+def inner(a: Floats, b: Floats) -> float:
+    """a · b."""
+    total = splat4(0.0)
+    for k in range(a.shape[0]):
+        total = total + load4(a, k, 0) * load4(b, k, 0)
+    return sum3(total)
+
+
+@stage
+def subtract_product(block_row: Ints, block_column: Ints, A: Floats, v: Floats, out: Floats) -> None:
+    """out −= A v; A symmetric, in blocks as Model says."""
+    nf = v.shape[0] - 1
+    for k in range(nf):
+        y = load4(A, k, 0) * v[k, 0] + load4(A, k, 1) * v[k, 1] + load4(A, k, 2) * v[k, 2]
+        store4(out, k, 0, load4(out, k, 0) - y)
+    for p in range(block_row.shape[0]):
+        i, j = block_row[p], block_column[p]
+        a, b, c = load4(A, nf + p, 0), load4(A, nf + p, 1), load4(A, nf + p, 2)
+        x = load4(v, i, 0)
+        store4(out, i, 0, load4(out, i, 0) - (a * v[j, 0] + b * v[j, 1] + c * v[j, 2]))
+        out[j, 0] -= sum3(a * x)
+        out[j, 1] -= sum3(b * x)
+        out[j, 2] -= sum3(c * x)
+
+
+@formula
+def copy_first(out: Floats, values: Floats, count: int) -> None:
+    """out[:count] = values[:count], of plain numbers."""
+    for k in range(count):
+        out[k] = values[k]

@@ -1,0 +1,352 @@
+"""`newton`: one step against clarabel and against `pgs`, friction, creep, what it does when cut short."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from physics_helpers import Array, beam_scene, finger_scene, healthy, pose, run
+from scipy.spatial.transform import Rotation
+from step_problem import LIMITS, Problem, check_against_qp, check_with_friction, stepped
+
+from finger_sim import Pose, Scene, SceneError, Simulator, Status
+from finger_sim.physics.ready import ready
+
+EXACT = {"method": "newton", "tolerance": 1e-10, "max_iterations": 200}
+BOTH = pytest.mark.parametrize("projection", ["hyperbolic", "tensor"])
+FLAT = Rotation.from_euler("x", 90, degrees=True)
+
+
+def block(cells: Any = (3, 3, 2), friction: float = 0.4, **blocks: Any) -> Scene:
+    """A soft block whose top is driven, over a plane."""
+    return beam_scene(
+        (0.04, 0.04, 0.02),
+        cells,
+        young=2e4,
+        poisson=0.45,
+        damping=(0.0, 0.002),
+        gravity=[0, 0, -9.81],
+        driven={"box": [[-1, -1, 0.0199], [1, 1, 1]]},
+        plane={"point": [0, 0, 0], "friction": friction},
+        **({"solver": EXACT} | blocks),
+    )
+
+
+def limits(projection: str, inertia: float = 0.0) -> dict[str, Any]:
+    return LIMITS[projection] | {"stiffness": 30.0, "inertia": inertia}
+
+
+def sliding(k: int, down: float = 3e-5, along: float = 4e-5) -> Pose:
+    """A command that presses for 20 steps, then slides."""
+    return pose((along * max(0, k - 20), 0.5 * along * max(0, k - 20), 1e-4 - down * min(k, 20)))
+
+
+# (mesh, how far a step presses, tetrahedra at a limit in the steps that are checked, at least and at most)
+CROWDS = [
+    pytest.param((2, 2, 1), 2.3e-5, 1, 4, id="about 1"),
+    pytest.param((3, 3, 2), 1.9e-5, 5, 20, id="about 10"),
+    pytest.param((4, 4, 2), 2.6e-5, 60, 150, id="about 100"),
+    pytest.param((2, 2, 1), 2e-4, 20, 20, id="all"),
+]
+
+
+def checked(sim: Simulator, command: Any, check: Any, least: int, most: int, steps: int) -> int:
+    """Check up to three steps, two apart, that follow one with so many tetrahedra at a limit; how many those were."""
+    count, wait, limited = 0, 0, 0
+    for k in range(1, steps + 1):
+        wait -= 1
+        if least <= limited <= most and wait <= 0 and count < 3:
+            problem = stepped(sim, command(k))
+            check(problem)
+            count, wait, limited = count + 1, 2, problem.out.limited_tets
+        else:
+            out = sim.step(command(k))
+            assert healthy(out)
+            limited = out.limited_tets
+    return count
+
+
+@BOTH
+@pytest.mark.parametrize(("cells", "down", "least", "most"), CROWDS)
+def test_a_press_without_friction_against_clarabel(
+    projection: str, cells: Any, down: float, least: int, most: int
+) -> None:
+    """v, λ, violation and complementarity of steps with a tetrahedron or so at its limit, ten, a hundred, and all.
+
+    Pressed askew, so that they come to it one by one.
+    """
+    sim = Simulator(block(cells, 0.0, limits=limits(projection)))
+
+    def command(k: int) -> Pose:
+        return pose((0, 0, 1e-4 - down * min(k, 20)), Rotation.from_rotvec([-3e-4 * min(k, 20), 2e-4 * min(k, 20), 0]))
+
+    assert checked(sim, command, check_against_qp, least, most, 30) > 0
+
+
+@BOTH
+@pytest.mark.parametrize("friction", [0.1, 0.4])
+@pytest.mark.parametrize(("cells", "down", "least", "most"), CROWDS)
+def test_sliding_against_clarabel(
+    projection: str, cells: Any, down: float, least: int, most: int, friction: float
+) -> None:
+    """The same with Coulomb's cone, sticking and sliding: v and the force on every node."""
+    sim = Simulator(block(cells, friction, limits=limits(projection)))
+    cone = np.zeros(2, int)
+
+    def check(problem: Problem) -> None:
+        check_with_friction(problem)
+        pressed = problem.contact[problem.contact[:, 2] > 0.0]
+        across = np.linalg.norm(pressed[:, :2], axis=1) / pressed[:, 2]
+        cone[:] += [(across < 0.999 * friction).sum(), (across > 0.99999 * friction).sum()]
+
+    run(sim, 1, sliding(0))
+    assert checked(sim, lambda k: sliding(k, down), check, least, most, 45) > 0
+    assert cone[1 if friction < 0.2 else 0] > 0
+
+
+@BOTH
+def test_at_rest_against_clarabel(projection: str) -> None:
+    """Two hundred steps into a press that keeps tetrahedra at their limits: still the solution, and nothing moves."""
+    sim = Simulator(block((2, 2, 1), limits=limits(projection)))
+    for k in range(40):
+        sim.step(pose((0, 0, -1.5e-5 * k)))
+    run(sim, 200)
+    problem = stepped(sim, None)
+    assert problem.out.limited_tets >= 4
+    check_with_friction(problem)
+    assert np.abs(sim.velocities).max() < 1e-6
+
+
+def test_limits_that_are_stiff_against_inertia_against_clarabel() -> None:
+    """With the default `limits.inertia`, in a press that its limits allow."""
+    sim = Simulator(block((2, 2, 1), limits=limits("tensor", 100.0)))
+    seen = 0
+    for k in range(1, 41):
+        problem = stepped(sim, sliding(k, 2.6e-5, 5e-6))
+        if k in (20, 22, 30, 40):
+            seen = max(seen, problem.out.limited_tets)
+            check_with_friction(problem)
+    assert seen >= 1
+
+
+# --- the two methods ---
+
+
+def copied(sim: Simulator, other: Simulator) -> None:
+    """The state of `sim` into `other`, what a step starts from included."""
+    other.set_state(sim.positions.copy(), sim.velocities.copy())
+    for name in ("contact_force", "bound", "limit_force"):
+        getattr(other._state, name)[:] = getattr(sim._state, name)
+    other.pose = sim.pose
+
+
+@BOTH
+def test_both_methods_take_the_same_step(projection: str) -> None:
+    """From the same state `newton` and `pgs` go to the same velocities and forces to 1e-6: free, stuck and sliding.
+
+    Where they form the same rows: `pgs` looks for them after the unconstrained step, `newton` at the velocities of now.
+    """
+    scene = block((2, 2, 1), limits=limits(projection))
+    newton = Simulator(scene)
+    pgs = Simulator(
+        scene.with_values({"solver.method": "pgs", "solver.tolerance": 1e-10, "solver.max_iterations": 10**5})
+    )
+    most = same = 0
+    for k in range(1, 41):
+        copied(newton, pgs)
+        for sim in (newton, pgs):
+            sim._state.row_tet[:] = 2**40
+        a, b = newton.step(sliding(k)), pgs.step(sliding(k))
+        assert healthy(a)
+        assert healthy(b)
+        if (np.bincount(rows_of(newton), minlength=20) != np.bincount(rows_of(pgs), minlength=20)).any():
+            continue
+        same += 1
+        most = max(most, a.limited_tets)
+        assert_allclose(newton.velocities, pgs.velocities, rtol=0, atol=1e-6 * np.abs(pgs.velocities).max())
+        force = np.abs(pgs.contact_forces).max()
+        assert_allclose(newton.contact_forces, pgs.contact_forces, rtol=0, atol=1e-6 * force)
+    assert same >= 30
+    assert most >= 5
+    assert a.contacts >= 4
+
+
+def rows_of(sim: Simulator) -> Any:
+    """Tetrahedra of the limit rows of the last step."""
+    tets = sim._state.row_tet
+    return tets[(tets >= 0) & (tets < 2**40)]
+
+
+def test_without_rows_both_methods_are_one() -> None:
+    """No limits and no plane: `newton` is one linear solve, as `pgs`, to round-off."""
+    blocks: dict[str, Any] = {"driven": "base", "gravity": [1, -2, -9.81], "damping": (1.0, 0.01), "young": 1e4}
+    newton = Simulator(beam_scene((0.3, 0.2, 0.2), (3, 2, 2), solver={"method": "newton"}, **blocks))
+    pgs = Simulator(beam_scene((0.3, 0.2, 0.2), (3, 2, 2), **blocks))
+    for k in range(50):
+        command = pose((1e-4 * k, 0, 0), Rotation.from_rotvec([0, 0.002 * k, 0]))
+        a, b = newton.step(command), pgs.step(command)
+        assert (a.iterations, a.residual, a.status) == (b.iterations, b.residual, b.status) == (0, 0.0, 0)
+    assert_allclose(newton.velocities, pgs.velocities, rtol=0, atol=1e-11 * np.abs(pgs.velocities).max())
+    assert_allclose(newton.positions, pgs.positions, rtol=0, atol=1e-12)
+
+
+# --- friction ---
+
+
+@pytest.mark.parametrize("mu", [0.2, 0.5, 1.0])
+@pytest.mark.parametrize("towards", [0.0, 0.7, 3.0])
+def test_full_slip_is_on_the_cone(mu: float, towards: float) -> None:
+    """Slid along in any direction, |F_t| = μ F_n against the motion to 0.5 %, at the tolerance of every day."""
+    solver = {"method": "newton", "tolerance": 1e-3, "max_iterations": 50}
+    sim = Simulator(block((2, 2, 1), mu, solver=solver))
+    along = np.array([np.cos(towards), np.sin(towards)])
+    run(sim, 30, pose((0, 0, -2e-4)))
+    for k in range(1, 401):
+        out = sim.step(pose((*(2e-5 * k * along), -2e-4)))
+        assert healthy(out)
+    force = out.contact_wrench[:3]
+    assert force[2] > 0.05
+    assert np.linalg.norm(force[:2]) == pytest.approx(mu * force[2], rel=5e-3)
+    assert_allclose(force[:2] / np.linalg.norm(force[:2]), -along, rtol=0, atol=0.01)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.95])
+def test_a_stuck_contact_does_not_creep(share: float) -> None:
+    """A block under a constant side load within its cone moves by less than 1 µm in a second."""
+    g, mu = 9.81, 0.5
+    scene = beam_scene(
+        (0.2, 0.2, 0.1),
+        (2, 2, 1),
+        young=1e6,
+        damping=(0.0, 0.01),
+        gravity=[share * mu * g, 0, -g],
+        plane={"point": [0, 0, 0], "friction": mu},
+        solver={"method": "newton", "tolerance": 1e-6, "max_iterations": 50},
+    )
+    sim = Simulator(scene)
+    run(sim, 300)
+    start = sim.positions.copy()
+    out = run(sim, 1000)
+    assert healthy(out)
+    assert np.abs(sim.positions - start).max() < 1e-6
+    assert out.contact_wrench[0] == pytest.approx(-share * mu * out.contact_wrench[2], rel=1e-3)
+
+
+# --- cut short ---
+
+
+def missing_force(problem: Problem, velocities: Array) -> float:
+    """The largest force [N] missing at any node at these velocities, from the formula."""
+    system, rows, h = problem.system, problem.rows, problem.h
+    v = velocities.ravel()[system.free]
+    g = problem.constant + h * problem.J @ v
+    lam = np.zeros(len(g))
+    for row in range(len(g)):
+        if rows.tet[row] >= 0 or row % 3 == 0:
+            lam[row] = max(0.0, -g[row] / rows.compliance[row])
+    for c in range(len(problem.nodes)):
+        tangents = -g[3 * c + 1 : 3 * c + 3] / rows.compliance[3 * c]
+        size, cone = np.linalg.norm(tangents), problem.scene.plane.friction * lam[3 * c]
+        lam[3 * c + 1 : 3 * c + 3] = tangents * min(1.0, cone / size) if size else 0.0
+    missing = (system.b - system.A @ v + h * problem.J.T @ lam).reshape(-1, 3)
+    return float(np.linalg.norm(missing, axis=1).max() / h)
+
+
+def test_a_capped_step_is_no_worse_than_none() -> None:
+    """One iteration a step: ITERATION_LIMIT where it is not enough, and never more force missing than at the start."""
+    values = {"solver.max_iterations": 1, "solver.tolerance": 1e-9}
+    sim = Simulator(block((3, 3, 2), limits=limits("tensor")).with_values(values))
+    capped = 0
+    for k in range(1, 61):
+        start = sim.velocities.copy()
+        problem = stepped(sim, sliding(k), well=False)
+        out = problem.out
+        assert out.iterations <= 1
+        assert bool(out.status & Status.ITERATION_LIMIT) == (out.residual > 1e-9)
+        assert not out.status & (Status.NONFINITE | Status.STEP_REJECTED)
+        assert missing_force(problem, sim.velocities) <= missing_force(problem, start) * (1 + 1e-6) + 1e-9
+        capped += bool(out.status & Status.ITERATION_LIMIT)
+    assert capped > 10
+
+
+def test_a_deadline() -> None:
+    """A microsecond a step: an iteration is made, no more are begun, ITERATION_LIMIT says so, all stays finite."""
+    values = {"solver.deadline": 1e-6, "solver.tolerance": 1e-9}
+    sim, patient = (Simulator(block((3, 3, 2), limits=limits("tensor")).with_values(v)) for v in (values, {}))
+    late = 0
+    for k in range(1, 61):
+        out, full = sim.step(sliding(k)), patient.step(sliding(k))
+        assert healthy(full)
+        assert out.iterations <= 1
+        assert np.isfinite(sim.positions).all()
+        assert np.isfinite([*out.contact_wrench, out.residual, out.max_strain_ratio]).all()
+        assert not out.status & (Status.NONFINITE | Status.STEP_REJECTED)
+        late += bool(out.status & Status.ITERATION_LIMIT)
+    assert late > 10
+    sim.apply({"solver.deadline": 1.0})
+    assert healthy(run(sim, 60))
+
+
+def test_nan_inside_a_step_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A right-hand side that is not a number, while rows hold: NONFINITE, not a step that looks like any other."""
+    sim = Simulator(block((2, 2, 1), limits=limits("tensor")))
+    assert [sim.step(sliding(k)) for k in range(30)][-1].contacts > 0
+    broken = sim._model._replace(gravity=np.array([np.nan, 0.0, 0.0]))
+    monkeypatch.setattr(sim, "_ready", ready(broken, sim._state))
+    out = sim.step()
+    assert out.status & Status.NONFINITE
+    assert out.status & Status.STEP_REJECTED
+    assert np.isfinite(sim.positions).all()
+
+
+# --- determinism, memory, scenes ---
+
+
+def test_a_repeated_run_is_bit_identical() -> None:
+    """The same commands give the same bits, again after reset and in another simulator."""
+    scene = block((3, 3, 2), limits=limits("tensor"), solver={"method": "newton", "tolerance": 1e-3})
+    first, second = Simulator(scene), Simulator(scene)
+    records: list[list[bytes]] = [[], [], []]
+    for record, sim in zip(records, (first, second, first), strict=True):
+        sim.reset(sliding(0))
+        for k in range(40):
+            out = sim.step(sliding(k))
+            record.append(b"".join(a.tobytes() for a in (sim.positions, sim.velocities, sim.contact_forces)))
+            record.append(repr((out.residual, out.iterations, out.max_strain_ratio, out.contact_wrench)).encode())
+    assert records[0] == records[1] == records[2]
+    assert out.limited_tets > 5
+
+
+def test_a_step_allocates_nothing() -> None:
+    """Two hundred pressed steps of the finger ask for as much memory as taking the arguments of as many calls does."""
+    from numba.core.runtime import _nrt_python, rtsys
+
+    from finger_sim.physics.ready import advance
+
+    _nrt_python.memsys_enable_stats()
+    sim = Simulator(finger_scene(solver__method="newton", limits__projection="tensor"))
+    sim.reset(pose((0.0, 0.0, 0.006), FLAT))
+    assert [sim.step() for _ in range(5)][-1].limit_rows > 20
+
+    def allocations(targets: Array) -> int:
+        before = rtsys.get_allocation_stats().alloc
+        for _ in range(200):
+            advance(sim._ready, targets, 1e-3)
+        return int(rtsys.get_allocation_stats().alloc - before)
+
+    pressed = allocations(np.array(sim.positions[sim._model.driven]))
+    sim.reset(pose((0.0, 0.0, 0.1), FLAT))
+    assert sim.step().limit_rows == 0
+    assert pressed == allocations(np.array(sim.positions[sim._model.driven])) <= 200  # the argument
+
+
+@pytest.mark.parametrize("key", ["limits.stiffness", "plane.stiffness"])
+def test_rigid_rows_are_refused(key: str) -> None:
+    """Only `pgs` can be rigid: SceneError names what would have to be a number."""
+    scene = block((2, 2, 1), limits=limits("hyperbolic"))
+    with pytest.raises(SceneError) as error:
+        scene.with_values({key: None})
+    assert error.value.key == key
+    assert scene.with_values({key: None, "solver.method": "pgs"}).solver.method == "pgs"
