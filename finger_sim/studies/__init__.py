@@ -1,0 +1,1 @@
+"""Studies of the simulator beside others: what the benchmarks share."""
