@@ -124,6 +124,14 @@ class Limits:
         high=1e6,
     )
 
+    viscosity: float = field(
+        "float",
+        "Viscosity of limits that hold, in units of their stress times dt: smooth where not all can hold (tensor only)",
+        default=2.0,
+        low=0.0,
+        high=1e3,
+    )
+
     def check(self, prefix: str) -> None:
         if self.projection == "isotropic":
             for name in ("stretch", "compress"):

@@ -189,6 +189,11 @@ class Simulator:
         return _read_only(self._state.v[:, :3])
 
     @property
+    def node_mass(self) -> Floats:
+        """Lumped mass of each node (n,) [kg], read-only."""
+        return _read_only(self._model.mass)
+
+    @property
     def contact_forces(self) -> Floats:
         """Force of the plane on each node (n, 3) [N], world, read-only."""
         return _read_only(self._state.contact_force)

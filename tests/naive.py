@@ -126,11 +126,11 @@ class Body:
             K[np.ix_(index, index)] += self.volume[t] * R @ B.T @ D @ B @ R.T
         return K
 
-    def turning(self, limit_force: Array) -> Array:
-        """What limit forces Λ (T,) [N m] that turn with their tetrahedra add to K: 2 Λ r_a · r_b (3n, 3n)."""
+    def turning(self, limit_force: Array, viscosity: float) -> Array:
+        """What limit forces Λ (T,) [N m] that turn with their tetrahedra add to K: viscosity · Λ r_a · r_b (3n, 3n)."""
         K = np.zeros((len(self.points), len(self.points)))
         for nodes, r, force in zip(self.tets, self.gradients, limit_force, strict=True):
-            K[np.ix_(nodes, nodes)] += 2.0 * force * r @ r.T
+            K[np.ix_(nodes, nodes)] += viscosity * force * r @ r.T
         return np.kron(K, np.eye(3))
 
     def system(
@@ -141,13 +141,14 @@ class Body:
         driven: Any = (),
         v_driven: Array | None = None,
         limit_force: Array | None = None,
+        viscosity: float = 0.0,
     ) -> System:
         """A v = b of backward Euler for the free nodes, the driven ones' velocities on the right."""
         K = self.stiffness(x)
         m = np.repeat(self.mass, 3)
         A = (1.0 + h * self.alpha) * np.diag(m) + h * (h + self.beta) * K
         if limit_force is not None:
-            A += h * h * self.turning(limit_force)
+            A += h * h * self.turning(limit_force, viscosity)
         b = m * v.ravel() + h * (m * np.tile(self.gravity, len(self.points)) + self.forces(x).ravel())
         is_free = np.ones(len(self.points), bool)
         is_free[list(driven)] = False
@@ -217,11 +218,14 @@ def polar_strain(F: Array) -> tuple[Array, Array, Array]:
     return (V * (s - 1.0)) @ V.T, V, s
 
 
-def tensor_rows(F: Array, limits: Any, near: float = np.inf, coincide: float = 0.0) -> list[tuple[float, Array, float]]:
-    """(1 − λ, its ∂/∂F, |y|²) of the three eigenvalues of A⁺EA⁺ and of −A⁻EA⁻, y = A q; a side without limits: none.
+def tensor_rows(
+    F: Array, limits: Any, near: float = np.inf, coincide: float = 0.0
+) -> list[tuple[float, Array, float, float]]:
+    """(1 − λ, its ∂/∂F, |y|², share) of the three eigenvalues of A⁺EA⁺ and of −A⁻EA⁻, y = A q.
 
-    Two eigenvalues above `near` and less than `coincide` apart have a row also halfway between their eigenvectors, on
-    either side. dλ = yᵀ dU y, and U dU + dU U = d(FᵀF) is solved in the eigenvectors of U.
+    A side without limits has none. Two eigenvalues above `near` and less than `coincide` apart have a row also halfway
+    between their eigenvectors, on either side, with a share of the stiffness that fades with their distance.
+    dλ = yᵀ dU y, and U dU + dU U = d(FᵀF) is solved in the eigenvectors of U.
     """
     E, V, s = polar_strain(F)
     rows = []
@@ -231,11 +235,12 @@ def tensor_rows(F: Array, limits: Any, near: float = np.inf, coincide: float = 0
         A = np.diag([0.0 if bound is None else max(abs(bound - 1.0), 1e-6) ** -0.5 for bound in bounds])
         B = sign * A @ E @ A
         values, vectors = np.linalg.eigh(B)
-        directions = list(vectors.T)
+        directions = [(q, 1.0) for q in vectors.T]
         for a, b in itertools.combinations(range(3), 2):
             if min(values[a], values[b]) > near and abs(values[a] - values[b]) < coincide:
-                directions += [(vectors[:, a] + side * vectors[:, b]) / np.sqrt(2.0) for side in (1.0, -1.0)]
-        for q in directions:
+                share = 1.0 - abs(values[a] - values[b]) / coincide
+                directions += [((vectors[:, a] + side * vectors[:, b]) / np.sqrt(2.0), share) for side in (1.0, -1.0)]
+        for q, share in directions:
             y = A @ q
             gradient = np.zeros((3, 3))
             for k, l in itertools.product(range(3), range(3)):
@@ -243,7 +248,7 @@ def tensor_rows(F: Array, limits: Any, near: float = np.inf, coincide: float = 0
                 dF[k, l] = 1.0
                 dU = V @ ((V.T @ (dF.T @ F + F.T @ dF) @ V) / (s[:, None] + s[None, :])) @ V.T
                 gradient[k, l] = -sign * (y @ dU @ y)
-            rows.append((float(1.0 - q @ B @ q), gradient, float(y @ y)))
+            rows.append((float(1.0 - q @ B @ q), gradient, float(y @ y), share))
     return rows
 
 
@@ -259,12 +264,13 @@ class Rows:
     shift: Array  # (m,) −ε λ of the step before for contact, else 0
 
 
-def rows_of(F: Array, limits: Any, gap: float, near: float, coincide: float) -> list[tuple[float, Array, float]]:
-    """(C, ∂C/∂F, room) of every row of one tetrahedron as a step has it."""
+def rows_of(F: Array, limits: Any, gap: float, near: float, coincide: float) -> list[tuple[float, Array, float, float]]:
+    """(C, ∂C/∂F, room, share of the limit's stiffness) of every row of one tetrahedron as a step has it."""
     if limits.projection == "tensor":  # C = (1 − λ) / |y|²: the strain along y that is left
         rows = tensor_rows(F, limits, near, coincide)
-        return [(C / size, dC_dF / size, 1.0 / size) for C, dC_dF, size in rows if size > 0.0]
-    return [(C, dC_dF, room) for (C, dC_dF, _), room in zip(limit_rows(F, limits, gap), _rooms(F, limits), strict=True)]
+        return [(C / size, dC_dF / size, 1.0 / size, share) for C, dC_dF, size, share in rows if size > 0.0]
+    plain = zip(limit_rows(F, limits, gap), _rooms(F, limits), strict=True)
+    return [(C, dC_dF, room, 1.0) for (C, dC_dF, _), room in plain]
 
 
 def _rooms(F: Array, limits: Any) -> list[float]:
@@ -292,7 +298,7 @@ def strain_rows(
         nodes = body.tets[t]
         if not moves.reshape(-1, 3)[nodes].any():
             continue
-        for value, dC_dF, room in rows_of(F, limits, gap, near, coincide):
+        for value, dC_dF, room, share in rows_of(F, limits, gap, near, coincide):
             row = np.zeros((len(x), 3))
             row[nodes] = body.gradients[t] @ dC_dF.T
             J = row.ravel()
@@ -301,7 +307,11 @@ def strain_rows(
             soft = 0.0
             if limits.stiffness is not None:
                 inertia = 1.0 / (J @ (moves * J / np.repeat(body.mass, 3))) / h**2
-                soft = 1.0 / max(limits.stiffness * scene.material.young * body.volume[t], limits.inertia * inertia)
+                soft = (
+                    1.0
+                    / max(limits.stiffness * scene.material.young * body.volume[t], limits.inertia * inertia)
+                    / share
+                )
             parts.append((value, J, soft, t, room, 0.0))
     return _rows(parts, x.size)
 

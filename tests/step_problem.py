@@ -75,7 +75,8 @@ def stepped(sim: Simulator, command: Pose | None, well: bool = True) -> Problem:
     out = sim.step(command)
     assert healthy(out) or not well
     v_driven = (sim.positions[driven] - x[driven]) / h
-    system = body.system(x, v, h, driven, v_driven, limit_force)
+    viscosity = scene.limits.viscosity if scene.limits else 0.0
+    system = body.system(x, v, h, driven, v_driven, limit_force, viscosity)
     if scene.solver.method == "pgs":
         ahead = system.whole(np.linalg.solve(system.A, system.b)).ravel()
     else:

@@ -30,6 +30,7 @@ FULL: dict[str, Any] = {
         "compress": [None, 0.8, 0.9],
         "stiffness": None,
         "inertia": 30.0,
+        "viscosity": 4.0,
     },
     "plane": {"point": [0, 0, -1], "normal": [0, 0, 2], "friction": 0.7, "stiffness": 50.0},
     "gravity": [0, 0, -1],

@@ -10,8 +10,8 @@ Backward Euler with f(x + h v) ≈ f(x) − h K v (Baraff & Witkin 1998), M lump
     A v = b,    A = (1 + h α) M + h (h + β) K,    b = M v₀ + h (M g + f(x)).
 
 Under the `tensor` limit, the limit forces Λ = Σ λ of a tetrahedron (of the last step) turn with it. The stiffness of
-that need not be positive, but its size is about Λ r_a · r_b; twice so much is added to h² K, where it acts as a
-viscosity h Λ / vol: nothing at rest, and an end to the chatter where limits are pressed beyond what they can hold.
+that need not be positive, but its size is about Λ r_a · r_b; `limits.viscosity` times so much is added to h² K, where
+it acts as a viscosity h Λ / vol: nothing at rest, and an end to the chatter where limits cannot all hold.
 
 g_a · g_b = r_a · r_b does not turn: that part of A is known beforehand (Model.laplace). Driven nodes are no unknowns:
 their velocity enters as the strain (h + β) sym(RᵀḞ_driven) that it gives their tetrahedra within the step.
@@ -26,8 +26,6 @@ from .kinematics import edges_times
 from .lanes import add3, gather3, load4, load8, scatter3, splat8, store4
 from .polar import load_matrix, transposed_times
 from .vectors import add, clear, copy, subtract_product
-
-_TURNING = 2.0  # of Λ r_a · r_b: 1 leaves a chatter of newtons in the hardest presses, 4 has no further use
 
 if TYPE_CHECKING:
     from .model import Model, State
@@ -81,7 +79,7 @@ def stresses(model: Model, state: State, h: float, lead: float) -> None:
     rotations, strains, volumes, slots, nodes = state.R, state.E, model.lane_volume, model.lane_slot, model.lane_node
     driven, w, rhs, g = model.lane_driven, state.driven_velocity, state.rhs, state.g
     limit_force = state.limit_force
-    follows = limit_force.shape[0] > 0
+    follows = limit_force.shape[0] > 0 and model.limit_viscosity > 0.0
     for b in range(rotations.shape[0]):
         f0 = f1 = f2 = f3 = f4 = f5 = f6 = f7 = f8 = splat8(0.0)  # turning stiffness at driven nodes, times Ḟ_driven
         R = load_matrix(rotations, b)
@@ -99,7 +97,7 @@ def stresses(model: Model, state: State, h: float, lead: float) -> None:
             e0, e1, e2 = e0 + lead * d0, e1 + lead * d4, e2 + lead * d8
             e3, e4, e5 = e3 + 0.5 * lead * (d5 + d7), e4 + 0.5 * lead * (d2 + d6), e5 + 0.5 * lead * (d1 + d3)
             if follows:
-                w0 = load8(limit_force, b, 0) * (-_TURNING * h * h)
+                w0 = load8(limit_force, b, 0) * (-model.limit_viscosity * h * h)
                 f0, f1, f2, f3, f4, f5, f6, f7, f8 = rate
                 f0, f1, f2, f3, f4 = w0 * f0, w0 * f1, w0 * f2, w0 * f3, w0 * f4
                 f5, f6, f7, f8 = w0 * f5, w0 * f6, w0 * f7, w0 * f8
@@ -140,7 +138,7 @@ def matrix(model: Model, state: State, h: float) -> None:
         A[k] = 0.0
         A[k, 0, 0] = A[k, 1, 1] = A[k, 2, 2] = same
     limit_force, dot = state.limit_force, model.assembly_dot
-    follows = limit_force.shape[0] > 0
+    follows = limit_force.shape[0] > 0 and model.limit_viscosity > 0.0
     for k in range(assembly.shape[0]):
         t, row, column, block = assembly[k, 0], assembly[k, 1], assembly[k, 2], assembly[k, 3]
         stiff = weight * volume[t]
@@ -150,6 +148,6 @@ def matrix(model: Model, state: State, h: float) -> None:
         for j in range(3):
             store4(A, block, j, load4(A, block, j) + (a_lambda * g[t, column, j] + b_mu * g[t, row, j]))
         if follows and limit_force[t // 8, t % 8] > 0.0:
-            turning = _TURNING * h * h * limit_force[t // 8, t % 8] * dot[k]
+            turning = model.limit_viscosity * h * h * limit_force[t // 8, t % 8] * dot[k]
             for j in range(3):
                 A[block, j, j] += turning

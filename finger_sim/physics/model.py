@@ -69,6 +69,7 @@ class Model(NamedTuple):
     limit_factors: Floats  # (2, 9) what `tensor` weighs strain with: see tensor_limit.limit_factors
     limit_compliance: float  # 1 / (κ E) [1/Pa]: divided by a volume, a limit row's compliance [1/(N m)]; 0: rigid
     limit_inertia: float  # a limit is at least so many times as stiff as the inertia behind it in one step
+    limit_viscosity: float  # of limit forces that turn, in units of themselves: see elasticity.py
     has_plane: bool
     plane_frame: Floats  # (3, 3) rows: unit normal and two tangents, world
     plane_point: Floats  # (3,) [m], world
@@ -247,6 +248,7 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
         limit_factors=factors,
         limit_compliance=1.0 / (limits.stiffness * young) if limits and limits.stiffness else 0.0,
         limit_inertia=limits.inertia if limits else 0.0,
+        limit_viscosity=limits.viscosity if limits else 0.0,
         has_plane=plane is not None,
         plane_frame=plane_frame(plane.unit_normal) if plane else np.eye(3),
         plane_point=np.array(plane.point) if plane else np.zeros(3),

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 def finish_rows(model: Model, state: State, h: float, first: int, rows: int) -> None:
     """compliance, scale and lam of the rows from `first` on; the rest of them is there (J, row_slot, row_tet, …).
 
+    state.compliance holds the share of its limit's stiffness that a row has.
+
     A limit gives by λ / k, k = max(κ E V, k_m / (h² J M⁻¹ Jᵀ)): what is soft against the inertia that the step sees is
     no limit. κ = ∞ (model.limit_compliance 0): rigid.
     """
@@ -30,10 +32,11 @@ def finish_rows(model: Model, state: State, h: float, first: int, rows: int) -> 
             size = sum3(j * j)
             moved += size * mobility[slot]
             force += size if slot < nf else 0.0
+        share = compliances[row]
         compliance = model.limit_compliance / volume[tet]
         if model.limit_inertia > 0.0:
             compliance = min(compliance, h * h * moved / model.limit_inertia)
-        compliances[row] = compliance
+        compliances[row] = compliance / share
         scale[row] = math.sqrt(0.5 * force)
         warm = warm_limit[tet, row_key[row]]
         lam[row] = abs(warm) if (warm > 0.0) == (row_side[row] > 0.0) else 0.0

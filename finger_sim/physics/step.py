@@ -36,6 +36,9 @@ class Status(enum.IntFlag):
     LOCKED = 16  # a tetrahedron has more rows at their limit than ways to deform
     ROW_LIMIT = 32  # more rows near their limit than the arrays hold: the others were left out
     COMMAND_LIMITED = 64  # the command moved faster than the coupling allows and is being caught up with
+    LIMIT_EXCEEDED = (
+        128  # a strain is more than half as large again as its limit: not all limits can hold, or too softly
+    )
 
 
 # Where `step` writes what it reports, in State.result.
@@ -44,7 +47,8 @@ STATUS, ITERATIONS, RESIDUAL, LIMIT_ROWS, LIMITED_TETS, STRAIN_RATIO, CONTACTS, 
 _FARTHEST = 1e9  # tetrahedron sizes that a node may go in one step
 _REJECTED = int(Status.NONFINITE | Status.STEP_REJECTED)
 _ROW_LIMIT, _ITERATION_LIMIT = int(Status.ROW_LIMIT), int(Status.ITERATION_LIMIT)
-_LOCKED, _INVERTED = int(Status.LOCKED), int(Status.INVERTED)
+_LOCKED, _INVERTED, _LIMIT_EXCEEDED = int(Status.LOCKED), int(Status.INVERTED), int(Status.LIMIT_EXCEEDED)
+_EXCEEDED = 1.5  # strain/limit from which on LIMIT_EXCEEDED is set
 
 
 @kernel
@@ -230,6 +234,8 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
                 result[LIMITED_TETS] += 1.0
                 if active > min(6, 3 * moves[t]):
                     status |= _LOCKED
+    if result[STRAIN_RATIO] > _EXCEEDED:
+        status |= _LIMIT_EXCEEDED
     if state.inverted[0] > 0:
         status |= _INVERTED
     result[STATUS] = status

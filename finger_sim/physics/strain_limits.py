@@ -152,6 +152,7 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
     left, stretches, right, velocities, scratch = state.U, state.s, state.V, state.moving, state.D
     all_J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key
     row_side, constant, projection = state.row_side, state.constant, model.projection
+    shares = state.compliance
     stretch_room, compress_room = model.stretch_room, model.compress_room
     for o in range(order.shape[0]):
         t = order[o]
@@ -190,7 +191,7 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
                 if (near < C and C + h * change > near) or force <= least:
                     continue
                 row_tet[rows], row_key[rows] = t, 3 * i + j
-                row_side[rows], constant[rows] = 1.0 if stretched else -1.0, C + h * change
+                row_side[rows], constant[rows], shares[rows] = 1.0 if stretched else -1.0, C + h * change, 1.0
                 rows += 1
     return rows
 

@@ -14,8 +14,8 @@ of A E A, y = A q and U = I + E,
 Every eigenvalue near its limit has a row, C = (1 − λ)/|y|²: the room along y less the strain used up, as in the other
 projections. Where two of them nearly coincide their eigenvectors are free to turn, and rows for these alone would let
 strain through between them: qᵀ A E A q ≤ 1 holds for every unit q, with the same gradient, and the two q halfway
-between them get rows too. Tetrahedra far from all limits are passed over by a bound that cannot miss one,
-λ_max(B) ≤ tr B/3 + √(2/3) |dev B|.
+between them get rows too, the stiffer the nearer the two. Tetrahedra far from all limits are passed over by a bound
+that cannot miss one, λ_max(B) ≤ tr B/3 + √(2/3) |dev B|.
 """
 
 from __future__ import annotations
@@ -311,7 +311,7 @@ def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
     rotations, strains, gradients, factors = state.R, state.E, model.lane_gradients, model.limit_factors
     tets, tet_slot, velocities = model.tets, model.tet_slot, state.moving
     J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key
-    row_side, constant = state.row_side, state.constant
+    row_side, constant, shares = state.row_side, state.constant, state.compliance
     whole = stage.reshape((1, -1))
     for group in range((count + 7) // 8):
         for l in range(8):
@@ -332,10 +332,11 @@ def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
         for d in range(9):
             a, c = _FIRST[d], _SECOND[d]
             value, q0, q1, q2 = _direction(pairs, group, a, c, _SIGN[d])
-            worth = bits(value > _WORTH)
+            worth, share = bits(value > _WORTH), splat8(1.0)
             if a != c:
                 p, q = load8(pairs, group, a), load8(pairs, group, c)
-                worth = bits((p > NEAR) & (q > NEAR) & (absolute(p - q) < _COINCIDE))
+                share = 1.0 - absolute(p - q) * (1.0 / _COINCIDE)
+                worth = bits((p > NEAR) & (q > NEAR) & (share > 0.0))
             if worth == 0:
                 continue
             y0, y1, y2 = load8(whole, 0, 24) * q0, load8(whole, 0, 25) * q1, load8(whole, 0, 26) * q2
@@ -373,6 +374,6 @@ def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
                 if (near < C and ahead > near) or force <= least:
                     continue
                 row_tet[rows], row_key[rows] = t, 2 * d + entry % 2
-                row_side[rows], constant[rows] = 1.0 - 2.0 * (entry % 2), ahead
+                row_side[rows], constant[rows], shares[rows] = 1.0 - 2.0 * (entry % 2), ahead, lane(share, l)
                 rows += 1
     return rows
