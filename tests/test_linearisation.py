@@ -1,0 +1,87 @@
+"""What a step is linearised about: anew where it ends (`relinearizations`), or only now and then (`level: lagged`)."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from physics_helpers import Array, beam_scene, pose
+from scipy.spatial.transform import Rotation
+
+from finger_sim import Pose, Scene, SceneError, Simulator, Status
+
+
+def missing(scene: Scene) -> float:
+    """The largest force [N] missing in backward Euler, f, K and damping at the end of a step, of a swinging beam."""
+    sim = Simulator(scene)
+    body = naive.Body.of(scene, sim.mesh)
+    for _ in range(4):
+        sim.step()
+    v_before = sim.velocities.copy()
+    sim.step(pose((0.001, 0.0, 0.002), Rotation.from_rotvec([0.0, 0.02, 0.0])))
+    mass = np.repeat(body.mass, 3)
+    v = sim.velocities.ravel()
+    damping = body.beta * body.stiffness(sim.positions) @ v + body.alpha * mass * v
+    force = body.forces(sim.positions).ravel() - damping + mass * np.tile(body.gravity, len(sim.positions))
+    free = np.setdiff1d(np.arange(len(sim.positions)), sim.mesh.node_sets["base"])
+    return float(np.abs((mass * (v - v_before.ravel()) / scene.dt - force).reshape(-1, 3)[free]).max())
+
+
+@pytest.mark.parametrize("method", ["pgs", "newton"])
+def test_relinearising_is_newtons_method_on_backward_euler(method: str) -> None:
+    """Each time the force that is missing at the step's end falls quadratically, to round-off."""
+    left = []
+    for times in (0, 1, 2, 4, 8):
+        solver = {"method": method, "relinearizations": times}
+        scene = beam_scene((0.5, 0.1, 0.1), (5, 1, 1), driven="base", young=5e4, damping=(1.0, 0.003), dt=0.02,
+                           gravity=[0, 0, -9.81], density=1000.0, solver=solver)  # fmt: skip
+        left.append(missing(scene))
+    assert left[0] > 0.1
+    assert left[1] < 0.05 * left[0]
+    assert left[2] < 0.05 * left[1]
+    assert left[4] < 1e-10
+
+
+def press_and_slide(level: str) -> tuple[Array, int]:
+    """Contact wrenches (steps, 6) of the shipped finger, pressed and slid, and all iterations."""
+    scene = Scene.load("finger_haptic").with_values({"solver.level": level, "solver.tolerance": 1e-6})
+    sim = Simulator(scene)
+    orientation = scene.initial_pose.orientation
+    sim.reset(Pose((0.0, 0.0, 0.0085), orientation))
+    wrenches, iterations = [], 0
+    for k in range(220):
+        out = sim.step(Pose((2e-5 * max(0, k - 150), 0.0, 0.0085 - 2e-5 * min(k, 150)), orientation))
+        assert not out.status & (Status.NONFINITE | Status.ITERATION_LIMIT | Status.INVERTED)
+        wrenches.append(out.contact_wrench)
+        iterations += out.iterations
+    return np.array(wrenches), iterations
+
+
+def test_lagged_is_as_accurate_for_fewer_matrices() -> None:
+    """A stiffness matrix for four steps: the same wrench to 1 % of its peak, though not the same bits."""
+    standard, _ = press_and_slide("standard")
+    lagged, _ = press_and_slide("lagged")
+    apart = np.abs(lagged - standard)[:, :3].max()
+    assert 0.0 < apart < 0.01 * np.abs(standard[:, :3]).max()
+    assert np.abs(standard[:, 2]).max() > 0.5
+
+
+@pytest.mark.parametrize("values", [{"solver.method": "pgs"}, {"solver.relinearizations": 1}])
+def test_lagged_is_refused_where_it_means_nothing(values: dict[str, object]) -> None:
+    """`lagged` needs `newton`, and goes with no relinearisation: the error names the key and what is allowed."""
+    with pytest.raises(SceneError, match=r"solver\.level.*lagged.*standard"):
+        Scene.load("finger_haptic").with_values({"solver.level": "lagged", **values})
+
+
+def test_exceeded_limits_are_said() -> None:
+    """A bone driven down until its pulp must exceed its limits: LIMIT_EXCEEDED exactly where strain/limit > 1.5."""
+    scene = Scene.load("finger_haptic")
+    sim = Simulator(scene)
+    sim.reset(Pose((0.0, 0.0, 0.0085), scene.initial_pose.orientation))
+    said = []
+    for k in range(180):
+        out = sim.step(Pose((0.0, 0.0, 0.0085 - 2e-5 * k), scene.initial_pose.orientation))
+        said.append(bool(out.status & Status.LIMIT_EXCEEDED))
+        assert said[-1] == (out.max_strain_ratio > 1.5)
+    assert not said[0]
+    assert said[-1]
