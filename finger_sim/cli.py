@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -22,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     own = given.index("--ros-args") if given[:1] == ["node"] and "--ros-args" in given else len(given)
     try:
-        options = _parser().parse_args(given[:own], argparse.Namespace(ros=given[own:]))
+        options = _parser().parse_args(given[:own], argparse.Namespace(given=given, ros=given[own:]))
         verb: Callable[[argparse.Namespace], int] = options.verb
         return verb(options)
     except FingerSimError as error:
@@ -49,14 +50,14 @@ def _demo(options: argparse.Namespace) -> int:
     try:
         outcome = run_demo(
             options.scene, options.bag, options.out,
-            rate=options.rate, duration=options.duration, topic=options.topic,
+            rate=options.rate, priority=options.priority, duration=options.duration, topic=options.topic,
         )  # fmt: skip
     except DemoError as error:
         say(f"finger_sim: the demo failed: {error}")
         return FAILED
     console().print(outcome.table())
-    if outcome.note:
-        say(f"finger_sim: {outcome.note}")
+    for note in outcome.notes:
+        say(f"finger_sim: {note}")
     for failure in outcome.failures:
         say(f"finger_sim: the demo failed: {failure}")
     return FAILED if outcome.failures else DONE
@@ -172,6 +173,40 @@ def _node(options: argparse.Namespace) -> int:
     return run_node(options.ros)
 
 
+def _bench(options: argparse.Namespace) -> int:
+    import dataclasses
+
+    from .console import console
+    from .studies.bench import QUICK, Options, bench
+    from .studies.bench_report import NOTES, PICTURES, draw, require_writable, sections, write_json
+
+    asked = {
+        "sizes": tuple(options.sizes) if options.sizes else None,
+        "repeats": options.repeats,
+        "scale": options.steps,
+        "cpu": options.cpu,
+        "peers": options.peers,
+        "startup": options.startup,
+    }
+    given = {name: value for name, value in asked.items() if value is not None}
+    what = dataclasses.replace(QUICK if options.quick else Options(), **given)
+    if options.json:
+        require_writable(options.json, "--json")
+    if options.plot:
+        require_writable(options.plot, "--plot", PICTURES)
+    report = bench(what)
+    report.machine["command"] = shlex.join(["finger_sim", *options.given])
+    for title, rows in sections(report):
+        console().print(title, rows, "", sep="\n")
+    for note in NOTES:
+        console().print(note, soft_wrap=True)
+    if options.json:
+        write_json(report, options.json)
+    if options.plot:
+        draw(report, options.plot)
+    return DONE
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="finger_sim",
@@ -189,6 +224,7 @@ def _parser() -> argparse.ArgumentParser:
     info = _verb(verbs, "info", _info, "what a scene, a bag or a mesh holds", "finger_sim info press_slide")
     info.add_argument("what", metavar="SCENE|BAG|MESH", help="file, folder, or name of a shipped one")
     _add_mesh(verbs)
+    _add_bench(verbs)
     _verb(
         verbs,
         "node",
@@ -206,18 +242,25 @@ def _add_demo(verbs: Any) -> None:
         "demo",
         _demo,
         "the main job: node, commands over ROS 2, recording, picture, table",
-        "finger_sim demo --rate 500 --duration 3 --out first_touch",
+        "finger_sim demo --duration 3 --out first_touch",
     )
     add = demo.add_argument
-    add("--scene", default="finger", help="scene to simulate (default: %(default)s)")
+    add("--scene", default="finger_haptic", help="scene to simulate (default: %(default)s)")
     add("--bag", default="press_slide", help="bag of commands (default: %(default)s)")
     add("--topic", help="topic of the commands in the bag")
     add(
         "--rate",
         type=_positive,
-        default=500.0,
+        default=1000.0,
         metavar="HZ",
         help="steps a second, instead of the scene's dt (default: %(default)g)",
+    )
+    add(
+        "--priority",
+        type=_priority,
+        default=20,
+        metavar="N",
+        help="of the loop's thread under SCHED_FIFO, 1 to 99, where permitted; 0: none (default: %(default)s)",
     )
     add("--duration", type=_positive, metavar="S", help="seconds of the bag (default: all)")
     add(
@@ -337,6 +380,26 @@ def _add_mesh(verbs: Any) -> None:
         kind.add_argument("--force", action="store_true", help="overwrite the file")
 
 
+def _add_bench(verbs: Any) -> None:
+    bench = _verb(
+        verbs,
+        "bench",
+        _bench,
+        "times a step, beside its errors, MuJoCo and Drake (needs the extra [peers] for these two)",
+        "finger_sim bench --sizes 350 2000 --repeats 5 --json bench.json --plot bench.png",
+    )
+    add = bench.add_argument
+    add("--quick", action="store_true", help="350 tetrahedra, one repetition, no start-up: half a minute")
+    add("--sizes", type=int, nargs="+", metavar="N", help="tetrahedra (default: 350 2000 10000)")
+    add("--repeats", type=int, metavar="N", help="repetitions after a warm-up (default: 3)")
+    add("--steps", type=_positive, metavar="SHARE", help="share of the steps to run, the way down apart (default: 1)")
+    add("--cpu", type=int, metavar="K", help="processor to run on (default: the last allowed one)")
+    add("--peers", action=argparse.BooleanOptionalAction, help="run MuJoCo and Drake (default: where installed)")
+    add("--startup", action=argparse.BooleanOptionalAction, help="time cold and cached starts (default: yes)")
+    add("--json", type=Path, metavar="FILE", help="write everything as JSON")
+    add("--plot", type=Path, metavar="FILE.png", help="draw step times")
+
+
 def _verb(
     verbs: Any,
     name: str,
@@ -367,6 +430,12 @@ def _positive(text: str) -> float:
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"got {text!r}, allowed: a finite number > 0")
     return value
+
+
+def _priority(text: str) -> int:
+    if not (text.isdecimal() and int(text) < 100):
+        raise argparse.ArgumentTypeError(f"got {text!r}, allowed: a whole number from 0 to 99")
+    return int(text)
 
 
 def _text(text: str) -> tuple[str, str]:

@@ -22,6 +22,7 @@ from finger_sim.studies.bench_figures import (
     Figure,
     Key,
     Records,
+    by_repetition,
     errors,
     figures,
     median_and_p99,
@@ -154,6 +155,9 @@ def test_percentiles_are_numpys() -> None:
     assert_allclose(median_and_p99(a), [np.median(a), np.percentile(a, 99)], rtol=1e-15)
     assert_allclose(ratio(a, b), np.median(a) / np.median(b), rtol=1e-15)
     assert_allclose(unsteadiness(a), np.percentile(a, 99) / np.median(a), rtol=1e-15)
+    ratios = [np.median(a[k]) / np.median(b[k]) for k in range(3)]
+    assert by_repetition(a, b) == f", by repetition {min(ratios):.3g} to {max(ratios):.3g}"
+    assert by_repetition(a[:1], b[:1]) == ""
     assert math.isnan(ratio(a, np.empty((0, 0))))
     assert math.isnan(median_and_p99(np.empty(0))[0])
 
@@ -234,6 +238,15 @@ def test_stage_seconds_fit_into_the_step() -> None:
     assert_array_equal([plain.step(pose) for pose in down][-1].contact_wrench, out.contact_wrench)
     timed.reset()
     assert timed.stage_seconds == dict.fromkeys(STAGES, 0.0)
+
+
+def test_absent_peers_cost_the_ratios_only(capsys: pytest.CaptureFixture[str]) -> None:
+    """With --no-peers the run succeeds, says so, and leaves out what needs them."""
+    assert main(["bench", "--quick", "--no-peers", "--steps", "0.01"]) == 0
+    out = capsys.readouterr().out
+    said = next(line for line in out.splitlines() if line.startswith("MuJoCo "))
+    assert said.split()[1:] == ["not", "asked", "for"]
+    assert "no MuJoCo to compare with" in out
 
 
 @pytest.mark.parametrize(
