@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 from .compile import stage
 from .kinematics import edges_times
-from .lanes import add3, gather3, load4, load8, scatter3, splat8, store4
+from .lanes import add3, bits, gather3, load4, load8, scatter3, splat4, splat8, store4
 from .polar import load_matrix, transposed_times
 from .vectors import add, clear, copy, subtract_product
 
@@ -81,6 +81,7 @@ def stresses(model: Model, state: State, h: float, lead: float) -> None:
     limit_force = state.limit_force
     follows = limit_force.shape[0] > 0 and model.limit_viscosity > 0.0
     for b in range(rotations.shape[0]):
+        turns = False
         f0 = f1 = f2 = f3 = f4 = f5 = f6 = f7 = f8 = splat8(0.0)  # turning stiffness at driven nodes, times Ḟ_driven
         R = load_matrix(rotations, b)
         e0, e1, e2 = load8(strains, b, 0), load8(strains, b, 1), load8(strains, b, 2)
@@ -98,6 +99,7 @@ def stresses(model: Model, state: State, h: float, lead: float) -> None:
             e3, e4, e5 = e3 + 0.5 * lead * (d5 + d7), e4 + 0.5 * lead * (d2 + d6), e5 + 0.5 * lead * (d1 + d3)
             if follows:
                 w0 = load8(limit_force, b, 0) * (-model.limit_viscosity * h * h)
+                turns = bits(w0 < 0.0) != 0
                 f0, f1, f2, f3, f4, f5, f6, f7, f8 = rate
                 f0, f1, f2, f3, f4 = w0 * f0, w0 * f1, w0 * f2, w0 * f3, w0 * f4
                 f5, f6, f7, f8 = w0 * f5, w0 * f6, w0 * f7, w0 * f8
@@ -113,12 +115,11 @@ def stresses(model: Model, state: State, h: float, lead: float) -> None:
         for n in range(4):
             a, c, d = load8(r, b, 3 * n), load8(r, b, 3 * n + 1), load8(r, b, 3 * n + 2)
             t0, t1, t2 = s0 * a + s5 * c + s4 * d, s5 * a + s1 * c + s3 * d, s4 * a + s3 * c + s2 * d
-            x, y, z = f0 * a + f1 * c + f2 * d, f3 * a + f4 * c + f5 * d, f6 * a + f7 * c + f8 * d
-            x, y, z = (
-                x + (r0 * t0 + r1 * t1 + r2 * t2),
-                y + (r3 * t0 + r4 * t1 + r5 * t2),
-                z + (r6 * t0 + r7 * t1 + r8 * t2),
-            )
+            x, y, z = r0 * t0 + r1 * t1 + r2 * t2, r3 * t0 + r4 * t1 + r5 * t2, r6 * t0 + r7 * t1 + r8 * t2
+            if turns:
+                x = x + (f0 * a + f1 * c + f2 * d)
+                y = y + (f3 * a + f4 * c + f5 * d)
+                z = z + (f6 * a + f7 * c + f8 * d)
             add3(rhs, slots, b, n, x, y, z)
             scatter3(g, b, n, r0 * a + r1 * c + r2 * d, r3 * a + r4 * c + r5 * d, r6 * a + r7 * c + r8 * d)
 
@@ -129,15 +130,16 @@ def matrix(model: Model, state: State, h: float) -> None:
     A, g, free, mass, laplace = state.A, state.g, model.free, model.mass, model.laplace
     assembly, volume, lame_lambda, lame_mu = model.assembly, model.volume, model.lame_lambda, model.lame_mu
     weight = h * (h + model.damping_stiffness)
-    inertia = 1.0 + h * model.damping_mass
+    inertia, viscosity = 1.0 + h * model.damping_mass, model.limit_viscosity * h * h
     nf = free.shape[0]
     for k in range(A.shape[0]):
         same = weight * lame_mu * laplace[k]
         if k < nf:
             same += inertia * mass[free[k]]
-        A[k] = 0.0
+        for j in range(3):
+            store4(A, k, j, splat4(0.0))
         A[k, 0, 0] = A[k, 1, 1] = A[k, 2, 2] = same
-    limit_force, dot = state.limit_force, model.assembly_dot
+    limit_force, dot = state.limit_force.reshape(-1), model.assembly_dot
     follows = limit_force.shape[0] > 0 and model.limit_viscosity > 0.0
     for k in range(assembly.shape[0]):
         t, row, column, block = assembly[k, 0], assembly[k, 1], assembly[k, 2], assembly[k, 3]
@@ -147,7 +149,7 @@ def matrix(model: Model, state: State, h: float) -> None:
         a_lambda, b_mu = a * w_lambda, b * w_mu
         for j in range(3):
             store4(A, block, j, load4(A, block, j) + (a_lambda * g[t, column, j] + b_mu * g[t, row, j]))
-        if follows and limit_force[t // 8, t % 8] > 0.0:
-            turning = model.limit_viscosity * h * h * limit_force[t // 8, t % 8] * dot[k]
+        if follows and limit_force[t] > 0.0:
+            turning = viscosity * limit_force[t] * dot[k]
             for j in range(3):
                 A[block, j, j] += turning

@@ -218,22 +218,21 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
         for b in range(limit_force.shape[0]):
             store8(limit_force, b, 0, splat8(0.0))
         active_rows[:] = 0
+        limit_rows = limited_tets = 0
         for row in range(contacts, rows):
             if lam[row] > 0.0:
                 t, key = row_tet[row], row_key[row]
                 if follows:
                     limit_force[t // 8, t % 8] += lam[row]
-                if key < counted:
-                    active_rows[t] += 1
                 if keeps:
                     warm[t, key] = lam[row] * row_side[row]
-        for t in range(active_rows.shape[0]):
-            active = active_rows[t]
-            result[LIMIT_ROWS] += active
-            if active > 0:
-                result[LIMITED_TETS] += 1.0
-                if active > min(6, 3 * moves[t]):
-                    status |= _LOCKED
+                if key < counted:
+                    limit_rows += 1
+                    limited_tets += active_rows[t] == 0
+                    active_rows[t] += 1
+                    if active_rows[t] > min(6, 3 * moves[t]):
+                        status |= _LOCKED
+        result[LIMIT_ROWS], result[LIMITED_TETS] = limit_rows, limited_tets
     if result[STRAIN_RATIO] > _EXCEEDED:
         status |= _LIMIT_EXCEEDED
     if state.inverted[0] > 0:
