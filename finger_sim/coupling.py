@@ -17,7 +17,7 @@ def follow(coupling: Coupling, pose: Pose, command: Pose, dt: float) -> tuple[Po
     """The pose after `dt` [s] on the way from `pose` to `command`, and whether a speed limit held it back."""
     fraction = 1.0
     distance = math.dist(pose.position, command.position)
-    turn = angle(pose.orientation, command.orientation)
+    turn = angle(pose.orientation, command.orientation) if pose.orientation != command.orientation else 0.0
     if distance > coupling.max_speed * dt:
         fraction = coupling.max_speed * dt / distance
     if turn > coupling.max_angular_speed * dt:

@@ -29,6 +29,7 @@ from .scene import Pose, Scene
 Progress = Callable[[str], None]
 
 _POSE = specs(Pose)
+_FARTHEST = _POSE["position"].high
 _REJECTED = int(Status.STEP_REJECTED)
 
 
@@ -152,7 +153,7 @@ class Simulator:
         for report in (state.contact_force, state.wrench, state.warm_limit, state.limit_force, state.result):
             report[:] = 0.0
         state.active_rows[:] = 0
-        state.age[0] = 0
+        state.age[0] = state.held_tets[0] = 0
         refresh(self._ready)
 
     def apply(self, values: Mapping[str, Any]) -> None:
@@ -240,7 +241,7 @@ class Simulator:
 def _checked(pose: Pose) -> Pose:
     """The pose with a unit quaternion. Raises SceneError when it cannot be one."""
     position, orientation = pose.position, pose.orientation
-    if not all(map(math.isfinite, position)) or max(map(abs, position)) > _POSE["position"].high:
+    if not max(map(abs, position)) <= _FARTHEST or not all(map(math.isfinite, position)):
         raise SceneError("command.position", position, _POSE["position"].allowed)
     if not all(map(math.isfinite, orientation)) or math.hypot(*orientation) < ZERO_NORM:
         raise SceneError("command.orientation", orientation, _POSE["orientation"].allowed)

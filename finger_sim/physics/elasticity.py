@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .compile import stage
+from .compile import formula, stage
 from .kinematics import edges_times
 from .lanes import add3, bits, gather3, load4, load8, scatter3, splat4, splat8, store4
 from .polar import load_matrix, transposed_times
@@ -72,6 +72,13 @@ def slot_velocities(model: Model, state: State) -> None:
         store4(w, k, 0, load4(v, free[k], 0))
 
 
+@formula
+def turning_limits(model: Model, state: State) -> bool:
+    """Whether limit forces of the last step turn with their tetrahedra."""
+    held: bool = state.held_tets[0] > 0 and state.limit_force.shape[0] > 0 and model.limit_viscosity > 0.0
+    return held
+
+
 @stage
 def stresses(model: Model, state: State, h: float, lead: float) -> None:
     """Add h f(x) to state.rhs, driven nodes going on for `lead` [s]; state.g = R r_n for `matrix`."""
@@ -79,7 +86,7 @@ def stresses(model: Model, state: State, h: float, lead: float) -> None:
     rotations, strains, volumes, slots, nodes = state.R, state.E, model.lane_volume, model.lane_slot, model.lane_node
     driven, w, rhs, g = model.lane_driven, state.driven_velocity, state.rhs, state.g
     limit_force = state.limit_force
-    follows = limit_force.shape[0] > 0 and model.limit_viscosity > 0.0
+    follows = turning_limits(model, state)
     for b in range(rotations.shape[0]):
         turns = False
         f0 = f1 = f2 = f3 = f4 = f5 = f6 = f7 = f8 = splat8(0.0)  # turning stiffness at driven nodes, times Ḟ_driven
@@ -139,8 +146,6 @@ def matrix(model: Model, state: State, h: float) -> None:
         for j in range(3):
             store4(A, k, j, splat4(0.0))
         A[k, 0, 0] = A[k, 1, 1] = A[k, 2, 2] = same
-    limit_force, dot = state.limit_force.reshape(-1), model.assembly_dot
-    follows = limit_force.shape[0] > 0 and model.limit_viscosity > 0.0
     for k in range(assembly.shape[0]):
         t, row, column, block = assembly[k, 0], assembly[k, 1], assembly[k, 2], assembly[k, 3]
         stiff = weight * volume[t]
@@ -149,7 +154,10 @@ def matrix(model: Model, state: State, h: float) -> None:
         a_lambda, b_mu = a * w_lambda, b * w_mu
         for j in range(3):
             store4(A, block, j, load4(A, block, j) + (a_lambda * g[t, column, j] + b_mu * g[t, row, j]))
-        if follows and limit_force[t] > 0.0:
-            turning = viscosity * limit_force[t] * dot[k]
-            for j in range(3):
-                A[block, j, j] += turning
+    if not turning_limits(model, state):
+        return
+    limit_force, dot = state.limit_force.reshape(-1), model.assembly_dot
+    for k in range(assembly.shape[0]):
+        turning = viscosity * limit_force[assembly[k, 0]] * dot[k]
+        for j in range(3):
+            A[assembly[k, 3], j, j] += turning

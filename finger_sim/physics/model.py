@@ -112,6 +112,7 @@ class State(NamedTuple):
     wrench: Floats  # (6,) their sum [N] and torque about `origin` [N m]: plane on finger, world axes
     warm_limit: Floats  # (T, keys) `pgs`: last row forces by key, positive: stretch, negative: compression [N m]
     limit_force: Floats  # (B, 8) `tensor`: sum of the forces of a tetrahedron's limit rows in the last step [N m]
+    held_tets: Ints  # (1,) tetrahedra that limit rows held in the last step
     active_rows: Ints  # (T,) rows of each tetrahedron that carry a force
     g: Floats  # (8 B, 4, 4) g_n = R r_n of each node of each tetrahedron [1/m], world
     A: Floats  # (nf + na, 3, 4)
@@ -376,6 +377,7 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
         wrench=np.zeros(6),
         warm_limit=np.zeros((count if limited else 0, 18 if tensor else 9)),
         limit_force=aligned(batches if tensor else 0, LANES),
+        held_tets=np.zeros(1, np.int64),
         active_rows=np.zeros(count if limited else 0, np.int64),
         g=aligned(LANES * batches, 4, 4),
         A=aligned(nf + len(model.block_row), 3, 4),

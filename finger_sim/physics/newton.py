@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from .model import Model, State
 
 FLOOR = 1e-3  # forces are judged relative to the largest row force, and no finer than this part of G · length²
-_CORRECTIONS = 2  # solves that bring friction's unsymmetric part in
+_CORRECTIONS = 1  # solves that bring friction's unsymmetric part in
 _SLACK = 0.5  # a line search ends where dᵀr is within so much of what it was to either side of 0
 _TRIALS = 12
 _STALLED, _PROGRESS = 20, 0.9  # so many iterations without that much progress end a step
@@ -66,7 +66,7 @@ def newton(model: Model, state: State, h: float, contacts: int, rows: int, anew:
         add_to_velocities(model, state, direction)
         return 0, 0.0, definite
     clear(change)
-    residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, change)
+    residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, change, True)
     if not missing < math.inf:
         return 0, residual, False
     stale = anew or holds != state.factored_holds[0]
@@ -89,7 +89,7 @@ def newton(model: Model, state: State, h: float, contacts: int, rows: int, anew:
         part, low, high, low_ahead, high_ahead = 1.0, 0.0, 1.0, ascent, -ascent
         for trial in range(_TRIALS):
             add(tried, change, direction, part)
-            residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, tried)
+            residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, tried, False)
             ahead = inner(direction, state.next_residual)
             if (ahead >= -_SLACK * ascent and (ahead <= _SLACK * ascent or trial == 0)) or residual <= model.tolerance:
                 break
@@ -156,9 +156,9 @@ def remainder(model: Model, state: State) -> None:
 
 @stage
 def evaluate(
-    model: Model, state: State, h: float, contacts: int, rows: int, change: Floats
+    model: Model, state: State, h: float, contacts: int, rows: int, change: Floats, still: bool
 ) -> tuple[float, float, int, bool]:
-    """r at δ = `change` into state.next_residual; row forces, what they add to the Hessian, and slip directions.
+    """r at δ = `change` (`still`: 0) into state.next_residual; row forces, their part of the Hessian, slip directions.
 
     Returns the residual; the largest force missing [N]; how many limits hold and contacts stick and slip, as one
     number; and whether these are other ones than in the factors at hand.
@@ -169,7 +169,8 @@ def evaluate(
     )  # fmt: skip
     mu_friction = model.mu_friction
     copy(r, state.start_residual)
-    subtract_product(model.block_row, model.block_column, state.A, change, r)
+    if not still:
+        subtract_product(model.block_row, model.block_column, state.A, change, r)
     largest, held, changed = 0.0, 0, False
     for c in range(contacts // 3):
         row = 3 * c

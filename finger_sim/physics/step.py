@@ -233,6 +233,7 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
                     if active_rows[t] > min(6, 3 * moves[t]):
                         status |= _LOCKED
         result[LIMIT_ROWS], result[LIMITED_TETS] = limit_rows, limited_tets
+        state.held_tets[0] = limited_tets
     if result[STRAIN_RATIO] > _EXCEEDED:
         status |= _LIMIT_EXCEEDED
     if state.inverted[0] > 0:

@@ -224,10 +224,16 @@ def greatest_strain(model: Model, state: State) -> float:
         for a in range(3):
             for l in range(8):
                 greatest = max(greatest, pairs[group, a, l])
-    for side in range(2):
-        for b in range(strains.shape[0]):
-            if greatest < NEAR and bits(load8(bounds, b, side) > greatest) != 0:
-                greatest = max(greatest, _largest(batch_strain(strains, factors, b, side)))
+    if greatest >= NEAR:
+        return greatest
+    top = 0
+    for k in range(2 * strains.shape[0]):
+        if _largest(load8(bounds, k // 2, k % 2)) > _largest(load8(bounds, top // 2, top % 2)):
+            top = k
+    greatest = max(greatest, _largest(batch_strain(strains, factors, top // 2, top % 2)))
+    for k in range(2 * strains.shape[0]):
+        if bits(load8(bounds, k // 2, k % 2) > greatest) != 0:
+            greatest = max(greatest, _largest(batch_strain(strains, factors, k // 2, k % 2)))
     return greatest
 
 
