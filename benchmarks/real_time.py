@@ -1,82 +1,64 @@
-"""The demo's real-time factor, in turn with a bare loop of the same rate that does a constant piece of work."""
+"""The demo in turn with a bare loop of the same rate: real-time factors, and how many steps of each were late."""
 
 from __future__ import annotations
 
 import argparse
-import re
-import statistics
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
 
-import numba
 import numpy as np
+import yaml
 
-from finger_sim.ros.loop import RateLoop
+from finger_sim import Scene
+from finger_sim.demo import PRIORITY, RATE, SCENE, Outcome, bare_loop, run_demo
 
 SECONDS = 7.0
-
-
-@numba.njit(nogil=True)
-def work(numbers: np.ndarray, times: int) -> float:
-    """Sums the numbers over and over, without the GIL."""
-    total = 0.0
-    for _ in range(times):
-        for i in range(numbers.shape[0]):
-            total += 1.0000001 * numbers[i]
-    return total
+"""Of the bare loop: about as long as the commands of the demo."""
+COLUMNS = ("factor", "bare", "late %", "bare %", "above %", "step ms", "p99 ms")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rate", type=float, default=500.0, help="[Hz]")
-    parser.add_argument("--work", type=float, default=1.2, help="of the bare loop's step [ms]")
+    parser.add_argument("--scene", default=SCENE)
+    parser.add_argument("--rate", type=float, default=RATE, help="[Hz]")
+    parser.add_argument("--substeps", type=int, help="of a step; 10 at 1000 Hz: steps of 0.1 ms (default: the scene's)")
+    parser.add_argument("--priority", type=int, default=PRIORITY, help="of the loops; 0: as any other thread")
     parser.add_argument("--pairs", type=int, default=5)
     args = parser.parse_args()
-    numbers = np.random.default_rng(0).random(20_000)
-    work(numbers, 1)
-    begin = time.perf_counter()
-    work(numbers, 100)
-    times = max(1, round(args.work * 1e-3 / ((time.perf_counter() - begin) / 100)))
-    results = []
-    print(f"{'demo':>8} {'bare loop':>10}   real-time factor at {args.rate:g} Hz")
-    for _ in range(args.pairs):
-        results.append((demo(args.rate), bare(1.0 / args.rate, numbers, times)))
-        print(f"{results[-1][0]:>8.4f} {results[-1][1]:>10.4f}", flush=True)
-    ours, floor = (statistics.median(column) for column in zip(*results, strict=True))
-    print(f"{ours:>8.4f} {floor:>10.4f}   median")
-
-
-def demo(rate: float) -> float:
-    """Real-time factor that `finger_sim demo` prints."""
+    rows = []
     with tempfile.TemporaryDirectory() as folder:
-        command = [
-            sys.executable,
-            "-m",
-            "finger_sim",
-            "demo",
-            "--rate",
-            f"{rate:g}",
-            "--out",
-            str(Path(folder) / "demo"),
-        ]
-        printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-    found = re.search(r"real-time factor\s+([\d.]+)", printed)
-    if found is None:
-        raise SystemExit(f"the demo printed no real-time factor: {printed}")
-    return float(found[1])
+        scene = Scene.load(args.scene)
+        if args.substeps:
+            scene = scene.with_values({"substeps": args.substeps})
+        file = Path(folder) / f"{Path(args.scene).stem}.yaml"
+        file.write_text(yaml.safe_dump(scene.to_dict()))
+        for pair in range(args.pairs):
+            outcome = run_demo(str(file), out=Path(folder) / f"demo_{pair}", rate=args.rate, priority=args.priority)
+            rows.append(row(outcome))
+            if pair == 0:
+                print(
+                    f"{args.scene} at {args.rate:g} Hz, {scene.substeps} substeps, priority {outcome.priority}\n"
+                    + " ".join(f"{name:>8}" for name in COLUMNS)
+                )
+            print(line(rows[-1]), flush=True)
+    print(f"{line(np.median(rows, axis=0))}   median")
 
 
-def bare(period: float, numbers: np.ndarray, times: int) -> float:
-    """Real-time factor of a loop with nothing but constant work in it."""
-    loop = RateLoop(period, lambda: None, lambda: work(numbers, times))
-    loop.start()
-    time.sleep(SECONDS)
-    progress = loop.progress
-    loop.stop(1.0)
-    return progress.steps * period / (progress.last - progress.begin)
+def row(outcome: Outcome) -> tuple[float, ...]:
+    """COLUMNS of a demo that has just ended, and of a bare loop of now."""
+    floor = bare_loop(outcome.dt, SECONDS, outcome.priority)
+    late, least = 100 * outcome.late, 100 * floor.late_fraction
+    health = outcome.health
+    return (
+        outcome.real_time_factor, floor.real_time_factor(outcome.dt), late, least, late - least,
+        1e3 * health.step_median, 1e3 * health.step_p99,
+    )  # fmt: skip
+
+
+def line(values: tuple[float, ...] | np.ndarray) -> str:
+    """One line of the table."""
+    digits = (4, 4, 2, 2, 2, 3, 3)
+    return " ".join(f"{value:>8.{n}f}" for value, n in zip(values, digits, strict=True))
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -28,10 +29,12 @@ from .scene import Scene
 
 if TYPE_CHECKING:
     from .report import Health, Recorded
+    from .ros.loop import Progress
     from .ros.play import Played
 
-RATE = 500.0
-"""Steps and commands of the shipped bags a second [Hz]."""
+SCENE = "finger_haptic"
+RATE = 1000.0
+"""Steps a second [Hz]."""
 FOLDER = "finger_sim_demo"
 READY_TIMEOUT = 300.0
 """Longest time that a node may take to its first step [s]; compiling takes up to a minute."""
@@ -45,6 +48,12 @@ FEWEST_HEARD = 0.5
 """Fraction of the commands that the node must hear; it skips those that newer ones overtake."""
 REAL_TIME = 0.99
 """Real-time factor from which on a run counts as in real time."""
+LATE = 0.005
+"""Fraction of its steps by which the node may be late more often than a bare loop."""
+FLOOR_TIME = 2.0
+"""How long the bare loop is watched [s]; no longer than the commands."""
+PRIORITY = 20
+"""Of the node's loop and of the bare one under SCHED_FIFO, where the system permits it."""
 
 
 class DemoError(FingerSimError):
@@ -70,31 +79,65 @@ class Outcome:
     tets: int
     recorded: Recorded
     health: Health
+    floor: Progress
+    """Of a bare loop, right before; see `bare_loop`."""
+    priority: int
+    """Of both loops' threads under SCHED_FIFO; 0: as any other thread."""
     failures: list[str] = field(default_factory=list)
 
     @property
-    def note(self) -> str | None:
+    def real_time_factor(self) -> float:
+        """Simulated time / wall time while the commands were played."""
+        return self.rate * self.dt
+
+    @property
+    def late(self) -> float:
+        """Late steps of the node, of its steps while the commands were played."""
+        return self.health.late / max(self.health.steps, 1)
+
+    @property
+    def late_above_floor(self) -> float:
+        """`late`, less that of the bare loop."""
+        return self.late - self.floor.late_fraction
+
+    @property
+    def notes(self) -> list[str]:
         """What a user should know about a run that did its job."""
-        if self.rate * self.dt >= REAL_TIME:
-            return None
-        return (
-            f"slower than real time: the machine is busy or too slow for {1.0 / self.dt:g} Hz; "
-            f"try --rate {0.5 / self.dt:g}"
-        )
+        out = []
+        if self.real_time_factor < REAL_TIME:
+            out.append(
+                f"slower than real time: the machine is busy or too slow for {1.0 / self.dt:g} Hz; "
+                f"try --rate {0.5 / self.dt:g}"
+            )
+        if self.late_above_floor > LATE:
+            out.append(
+                f"{100 * self.late_above_floor:.2f} % more steps were late than of a bare loop, "
+                f"wanted: at most {100 * LATE:g} %"
+            )
+        return out
 
     def table(self) -> Table:
         """What was reached, and what each number means."""
-        played, health = self.played, self.health
+        played, health, floor = self.played, self.health, self.floor
         peak = int(np.argmax(self.recorded.force))
         force, when = self.recorded.force[peak], self.recorded.wrench_time[peak]
         out = table()
         rows = (
             ("rate reached", f"{self.rate:.1f} Hz", f"steps a second, of {1.0 / self.dt:g} asked for"),
-            ("real-time factor", f"{self.rate * self.dt:.4f}", "simulated time / wall time"),
+            ("real-time factor", f"{self.real_time_factor:.4f}",
+             f"simulated time / wall time; wanted: at least {REAL_TIME:g}"),
+            ("late steps", f"{100 * self.late:.2f} %",
+             f"{health.late} of {health.steps}, not done when the next was due"),
+            ("late steps of a bare loop", f"{100 * floor.late_fraction:.2f} %",
+             f"{floor.late} of {floor.steps} that do nothing, right before; real-time factor "
+             f"{floor.real_time_factor(self.dt):.4f}"),
+            ("late steps above it", f"{100 * self.late_above_floor:.2f} %", f"wanted: at most {100 * LATE:g} %"),
+            ("priority of both loops", str(self.priority),
+             "SCHED_FIFO" if self.priority else "none: as any other thread"),
             ("step time median", f"{1e3 * health.step_median:.3f} ms",
              f"to simulate and send a step, of {1e3 * self.dt:g} ms"),
             ("step time p99", f"{1e3 * health.step_p99:.3f} ms", "99 of 100 steps took less"),
-            ("overruns", str(health.overruns), f"steps skipped, of {health.steps}; {health.late} were late"),
+            ("overruns", str(health.overruns), f"steps skipped, of {health.steps + health.overruns}"),
             ("peak force", f"{force:.3f} N",
              f"of the plane on the finger, at {when:.2f} s" if force > 0.0 else "the finger touched nothing"),
             ("most tetrahedra at a limit", f"{health.limited_tets} of {self.tets}", "in one step"),
@@ -115,20 +158,22 @@ class Outcome:
 
 
 def run_demo(
-    scene: str = "finger",
+    scene: str = SCENE,
     bag: str = "press_slide",
     out: str | Path | None = None,
     *,
     rate: float = RATE,
+    priority: int = PRIORITY,
     duration: float | None = None,
     topic: str | None = None,
 ) -> Outcome:
-    """Starts the node, plays the commands of `bag` at it over ROS 2, records, draws, and sums up.
+    """Measures a bare loop, starts the node, plays the commands of `bag` at it over ROS 2, records, draws, sums up.
 
     What cannot work is refused before anything is begun.
 
     out      : folder to make; FOLDER, or FOLDER_2 …, if left out
     rate     : steps a second, instead of the scene's dt [Hz]
+    priority : of the loop under SCHED_FIFO, where that is permitted; 0: none
     duration : of the commands that are played [s]; all of them if left out
     Raises DemoError when the node or the recording fails, and other FingerSimErrors for what was asked for.
     """
@@ -142,17 +187,41 @@ def run_demo(
     folder = _make_folder(out)
     recording, log = folder / "recording", folder / "node.log"
     frame = commands.frame_id or "world"
+    if priority and not _permits(priority):
+        say(f"real-time priority {priority} is not permitted here: the loops run as any other thread")
+        priority = 0
     parameters = {
         "scene": str(find_scene(scene).resolve()),
         "dt": loaded.dt,
         "record": str(recording.resolve()),
         "world_frame": frame,
+        "realtime_priority": priority,
     }
+    length = commands.duration if duration is None else min(duration, commands.duration)
+    floor = bare_loop(loaded.dt, min(FLOOR_TIME, length), priority)
     played, code = _drive(parameters, commands, frame, duration, log)
-    outcome = sum_up(recording, log, folder / "demo.png", played, loaded, len(mesh.tets))
+    outcome = sum_up(recording, log, folder / "demo.png", played, loaded, len(mesh.tets), floor, priority)
     if code != 0:
         outcome.failures.insert(0, f"the node ended with code {code}: {_last_line(log)}")
     return outcome
+
+
+def bare_loop(dt: float, seconds: float, priority: int) -> Progress:
+    """What the machine allows: the node's loop with steps that do nothing, in a process of its own as the node's.
+
+    Steps that do nothing, not steps as long as the node's: of the two floors of late steps that is the lower one, and
+    it needs no step time to be known before. Watched before the node starts, which would be in its way.
+    Raises DemoError when it does not run.
+    """
+    from .ros.loop import Progress
+
+    say(f"watching a bare loop of {1.0 / dt:g} Hz")
+    command = [sys.executable, "-m", "finger_sim.ros.loop", repr(dt), repr(seconds), str(priority)]
+    ran = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, start_new_session=True)
+    try:
+        return Progress(**json.loads(ran.stdout))
+    except (ValueError, TypeError):
+        raise DemoError(f"the bare loop ended with code {ran.returncode}: {_last(ran.stderr)}") from None
 
 
 def _drive(
@@ -182,7 +251,9 @@ def _drive(
             raise DemoError(f"the node did not end within {END_TIMEOUT:g} s of SIGINT; see {log}") from None
 
 
-def sum_up(recording: Path, log: Path, picture: Path, played: Played, scene: Scene, tets: int) -> Outcome:
+def sum_up(
+    recording: Path, log: Path, picture: Path, played: Played, scene: Scene, tets: int, floor: Progress, priority: int
+) -> Outcome:
     """Reads the recording, draws, and checks that nothing is missing."""
     from .plots import draw
     from .report import read_health, read_recording
@@ -191,7 +262,7 @@ def sum_up(recording: Path, log: Path, picture: Path, played: Played, scene: Sce
     try:
         reader = BagReader(recording)
         recorded = read_recording(recording, scene.plane)
-        health = read_health(recording)
+        health = read_health(recording, recorded.start, recorded.start + round(1e9 * played.duration))
     except BagError as error:
         raise DemoError(f"the recording is of no use: {error}; see {log}") from None
     counts = {topic.name: topic.count for topic in reader.topics}
@@ -208,6 +279,8 @@ def sum_up(recording: Path, log: Path, picture: Path, played: Played, scene: Sce
         tets=tets,
         recorded=recorded,
         health=health,
+        floor=floor,
+        priority=priority,
     )
     outcome.failures += [f"{t.name}: {t.lost} messages lost in recording" for t in reader.topics if t.lost]
     if reader.warning:
@@ -312,6 +385,24 @@ def _node_process(parameters: Mapping[str, Any], domain: int, log: Path) -> Iter
                 process.wait()
 
 
+def _permits(priority: int) -> bool:
+    """Whether a thread of this user may have a priority of SCHED_FIFO; tried by one that ends at once."""
+    from .ros.loop import prefer_this_thread
+
+    refusals: list[OSError] = []
+
+    def attempt() -> None:
+        try:
+            prefer_this_thread(priority)
+        except OSError as error:
+            refusals.append(error)
+
+    thread = threading.Thread(target=attempt)
+    thread.start()
+    thread.join()
+    return not refusals
+
+
 def require_ros() -> None:
     """Raises MissingExtraError where rclpy is neither installed nor sourced."""
     if importlib.util.find_spec("rclpy") is None:
@@ -363,5 +454,10 @@ def _free_domain() -> int:
 
 def _last_line(log: Path) -> str:
     """The last thing that the node said."""
-    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+    return _last(log.read_text(errors="replace"))
+
+
+def _last(text: str) -> str:
+    """Its last line that is not empty."""
+    lines = [line for line in text.splitlines() if line.strip()]
     return lines[-1] if lines else "it said nothing"

@@ -41,6 +41,8 @@ class Recorded:
     """A recorded touch. Times count from the first command [s]; without a plane, it is z = 0 that counts."""
 
     plane: Plane | None
+    start: int
+    """Log time of the first command [ns]."""
     command_time: Floats
     """(m,)"""
     depth: Floats
@@ -85,6 +87,7 @@ def read_recording(bag: str | Path, plane: Plane | None) -> Recorded:
     along = forces @ normal
     return Recorded(
         plane=plane,
+        start=commands.start,
         command_time=commands.receipt,
         depth=-np.array(lowest),
         wrench_time=_seconds([m.log_time for m in messages], commands.start),
@@ -96,10 +99,10 @@ def read_recording(bag: str | Path, plane: Plane | None) -> Recorded:
 
 @dataclass(frozen=True)
 class Health:
-    """How the node fared, of its reports on /diagnostics: worst values over all, ages over the last steps."""
+    """How the node fared, of its reports on /diagnostics: counts, worst values, times of the last 4096 steps."""
 
     step_median: float
-    """Time to compute and send a step [s], of the last 4096."""
+    """Time to compute and send a step [s]."""
     step_p99: float
     """[s]"""
     real_time_factor: float
@@ -123,30 +126,43 @@ class Health:
     """The status bits that were set, or OK."""
 
 
-def read_health(bag: str | Path) -> Health:
-    """The node's own reports in a recording. Raises BagError when there is none of a running node."""
+def read_health(bag: str | Path, begin: int | None = None, end: int | None = None) -> Health:
+    """The node's own reports in a recording, of the time from `begin` to `end` (log times [ns]; all if left out).
+
+    They come once a second: the time taken begins with the last one before `begin` and ends with the first after `end`.
+    Raises BagError when there is none of a running node.
+    """
     reader = BagReader(bag)
+    before: dict[str, str] | None = None
     reports: list[dict[str, str]] = []
     for message in _of_type(reader, DIAGNOSTICS):
         for status in cdr.deserialize(message.data, message.type).status:
             values = {item.key: item.value for item in status.values}
             if "step time p50 [ms]" in values:
-                reports.append(values)
+                if begin is not None and message.log_time <= begin:
+                    before = values
+                else:
+                    reports.append(values)
+        if reports and end is not None and message.log_time >= end:
+            break
     if not reports:
         raise BagError(f"{reader.path}: no report of a running simulation on /diagnostics")
+    last = reports[-1]
 
     def worst(key: str) -> float:
         return max(float(report[key]) for report in reports)
 
-    last = reports[-1]
+    def counted(key: str) -> int:
+        return int(last[key]) - (int(before[key]) if before else 0)
+
     bits = dict.fromkeys(bit for r in reports for bit in r["status"].split("|") if bit != "OK")
     return Health(
         step_median=1e-3 * float(last["step time p50 [ms]"]),
         step_p99=1e-3 * float(last["step time p99 [ms]"]),
         real_time_factor=float(last["real-time factor since start"]),
-        steps=int(last["steps"]),
-        late=int(last["late steps"]),
-        overruns=int(last["overruns"]),
+        steps=counted("steps"),
+        late=counted("late steps"),
+        overruns=counted("overruns"),
         limited_tets=int(worst("limited tets")),
         max_strain_ratio=worst("max strain/limit"),
         max_penetration=1e-3 * worst("penetration [mm]"),

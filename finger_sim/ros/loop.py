@@ -3,11 +3,19 @@
 Deadlines lie at origin + k · period on the steady clock. A step that is not done at the next deadline is
 late; the step after it begins at once. Deadlines missed by more than a period are skipped and counted as
 overruns: steps are never bunched up, and time lost is never hidden.
+
+`python -m finger_sim.ros.loop PERIOD SECONDS PRIORITY` runs a loop that does nothing, and prints its Progress as
+JSON: what this machine allows. It needs no ROS.
 """
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import json
 import math
+import os
+import sys
 import threading
 import time
 from collections import deque
@@ -21,6 +29,7 @@ from ..arrays import Floats
 
 RING = 4096
 """Steps whose times are kept for percentiles."""
+_PR_SET_TIMERSLACK = 29  # of prctl(2)
 
 
 class Ring:
@@ -52,6 +61,15 @@ class Progress(NamedTuple):
     """Steady time of the first deadline [s]."""
     last: float
     """Steady time at which the last step was done [s]."""
+
+    @property
+    def late_fraction(self) -> float:
+        """Late steps, of the steps made; 0 when there were none."""
+        return self.late / self.steps if self.steps else 0.0
+
+    def real_time_factor(self, period: float) -> float:
+        """Simulated time / wall time at `period` [s] a step, from the first to the last; 0 before the second."""
+        return (self.steps - 1) * period / (self.last - self.begin) if self.steps > 1 else 0.0
 
 
 class RateLoop:
@@ -107,6 +125,7 @@ class RateLoop:
 
     def _run(self) -> None:
         try:
+            _sleep_exactly()
             self._prepare()
             if not self._stop.is_set():
                 self._turn()
@@ -146,3 +165,30 @@ class RateLoop:
                 future.set_result(function())
             except Exception as error:
                 future.set_exception(error)
+
+
+def prefer_this_thread(priority: int) -> None:
+    """The calling thread runs before all without a priority of SCHED_FIFO. Raises OSError where not permitted."""
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+
+
+def bare(period: float, seconds: float, priority: int = 0) -> Progress:
+    """How far a loop that does nothing comes in `seconds` at `period` [s]; `priority`: of SCHED_FIFO, 0 for none."""
+    loop = RateLoop(period, lambda: prefer_this_thread(priority) if priority else None, lambda: None)
+    loop.start()
+    time.sleep(seconds)
+    loop.stop(timeout=1.0)
+    if loop.error is not None:
+        raise loop.error
+    return loop.progress
+
+
+def _sleep_exactly() -> None:
+    """This thread's sleeps end when they should: by default Linux lets them last 50 µs longer, to wake up less."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1))  # [ns]
+
+
+if __name__ == "__main__":
+    period, seconds, priority = sys.argv[1:]
+    print(json.dumps(bare(float(period), float(seconds), int(priority))._asdict()))

@@ -42,7 +42,7 @@ ANSWER_TIMEOUT = 2.0
 REPORT_PERIOD = 1.0
 """Time between two messages on /diagnostics [s]."""
 
-SWITCH_INTERVAL = 2e-4
+SWITCH_INTERVAL = 5e-5
 """How long another thread of this process may keep the interpreter when a step is due [s]."""
 
 

@@ -16,8 +16,8 @@ from typing import NamedTuple
 from ..bags import BagWriter, Qos
 from ..errors import BagError
 
-WAKE_PERIOD = 0.02
-"""Rest of the writer thread between two looks at the queue [s]."""
+WAKE_PERIOD = 0.002
+"""Rest of the writer thread between two looks at the queue [s]: it holds the interpreter for a few messages at a time."""
 FLUSH_PERIOD = 0.4
 """Longest time that a message taken from the queue stays in memory [s]."""
 

@@ -90,7 +90,7 @@ class Stepper:
             if self._followed is None:
                 self.sim.reset(command.pose)
             out = self.sim.step(command.pose)
-        device = out.device_wrench if fresh and math.isfinite(float(out.device_wrench.sum())) else self._none
+        device = out.device_wrench if fresh and math.isfinite(sum(out.device_wrench.tolist())) else self._none
         self._outputs.step(self.sim, out, device, stamp)
         if command is not None and command is not self._followed:
             self._followed = command
