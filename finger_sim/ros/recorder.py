@@ -17,7 +17,7 @@ from ..bags import BagWriter, Qos
 from ..errors import BagError
 
 WAKE_PERIOD = 0.002
-"""Rest of the writer thread between two looks at the queue [s]: it holds the interpreter for a few messages at a time."""
+"""Rest of the writer thread between two looks at the queue [s]: so it holds the interpreter for few messages."""
 FLUSH_PERIOD = 0.4
 """Longest time that a message taken from the queue stays in memory [s]."""
 
