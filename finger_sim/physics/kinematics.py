@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..arrays import Floats, Ints
-from .compile import formula, kernel, stage
+from .compile import formula, kernel
 from .lanes import bits, gather3, load8, store8
 from .polar import Matrix, Vector, polar, store_matrix
 
@@ -150,7 +150,7 @@ def _normalise(U: Floats, p: int, q: int, s: Floats) -> None:
         U[i, q] /= length
 
 
-@stage
+@kernel
 def kinematics(model: Model, state: State) -> None:
     """R and Biot strain E of every tetrahedron at the state's positions; F = U diag(s) Vᵀ where a projection needs it.
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numba
+import numpy as np
 from numba.core import types
 from numba.experimental import structref
 
@@ -46,10 +47,12 @@ for _proxy, _type, _record in ((_ModelReference, _ModelType, Model), (_StateRefe
 
 
 class Ready(NamedTuple):
-    """The two, for the functions below."""
+    """The two, for the functions below; and what these need to know of them themselves."""
 
     model: Any
     state: Any
+    arrays: State
+    projection: int
 
 
 @kernel
@@ -65,8 +68,8 @@ def _state_reference(state: State) -> Any:
 def ready(model: Model, state: State) -> Ready:
     """Both behind pointers. A changed Model (with_live_values) needs a new one; arrays are shared, not copied."""
     if numba.config.DISABLE_JIT:
-        return Ready(model, state)
-    return Ready(_model_reference(model), _state_reference(state))
+        return Ready(model, state, state, model.projection)
+    return Ready(_model_reference(model), _state_reference(state), state, model.projection)
 
 
 def advance(both: Ready, targets: Floats, h: float) -> None:
@@ -74,24 +77,17 @@ def advance(both: Ready, targets: Floats, h: float) -> None:
     step(both.model, both.state, targets, h)
 
 
-@kernel
-def _refresh(model: Model, state: State) -> None:
-    quaternion = state.quaternion
-    for b in range(quaternion.shape[0]):
-        for l in range(8):
-            quaternion[b, 0, l] = quaternion[b, 1, l] = quaternion[b, 2, l] = 0.0
-            quaternion[b, 3, l] = 1.0
-    kinematics(model, state)
-    if model.projection == TENSOR:
-        state.bound[:] = 1e300
-        find_near(model, state)
-    elif model.projection != NONE:
-        strain_ratio(model, state)
-
-
 def refresh(both: Ready) -> None:
     """Everything that follows from the state's positions, after they were set anew."""
-    _refresh(both.model, both.state)
+    state = both.arrays
+    state.quaternion[:, :3] = 0.0
+    state.quaternion[:, 3] = 1.0
+    state.bound[:] = np.inf
+    kinematics(both.model, both.state)
+    if both.projection == TENSOR:
+        find_near(both.model, both.state)
+    elif both.projection != NONE:
+        strain_ratio(both.model, both.state)
 
 
 def measure_strains(both: Ready) -> None:

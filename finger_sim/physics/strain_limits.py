@@ -116,7 +116,7 @@ def gradient(
             q[k] += w * s[m] * U[k, m]
 
 
-@stage
+@kernel
 def strain_ratio(model: Model, state: State) -> None:
     """strain/limit of every tetrahedron into state.strain_ratio (T,): 1 is exactly at its nearest limit."""
     axes = 3 if model.projection == HYPERBOLIC else 1

@@ -183,7 +183,7 @@ def evaluate_tensor(F: Floats, factors: Floats, C: Floats, dC_dF: Floats) -> Non
                 dC_dF[side, a, e // 3, e % 3] = sign * lane(entry, 0)
 
 
-@stage
+@kernel
 def find_near(model: Model, state: State) -> None:
     """What may be at a limit at the state's positions or a step later, into state.near; its eigenpairs, state.eigen."""
     count = 0
