@@ -40,6 +40,7 @@ _TRIALS = 12
 _STALLED, _PROGRESS = 20, 0.9  # so many iterations without that much progress end a step
 _SLOW = 0.3  # an iteration that leaves more of the residual than this asks for new factors
 OPEN, STICKS, SLIPS = 0.0, 1.0, 2.0
+_OTHER_MATRIX = -1  # in place of that number: the factors at hand, if any, are not of this A
 _STICKING, _SLIPPING = 1 << 20, 1 << 40  # places in the number that counts what holds
 
 
@@ -47,11 +48,13 @@ _STICKING, _SLIPPING = 1 << 20, 1 << 40  # places in the number that counts what
 def newton(model: Model, state: State, h: float, contacts: int, rows: int, anew: bool) -> tuple[int, float, bool]:
     """Velocities of the free nodes into state.v, row forces into state.lam[:rows]. (iterations, residual, definite).
 
-    anew: A is not the one that was last factored. If it is, and as many rows hold as then, its factors serve again.
+    anew: A was formed anew. Where it was not, and as many rows hold as when it was factored, its factors serve again.
 
     The residual is the largest force missing at any node [N], relative to the largest row force.
     """
     began = seconds(state.time) if model.deadline > 0.0 else 0.0
+    if anew:
+        state.factored_holds[0] = _OTHER_MATRIX
     remainder(model, state)
     change, tried, direction, best, best_change = (
         state.change, state.tried, state.direction, state.best, state.best_change
@@ -60,7 +63,7 @@ def newton(model: Model, state: State, h: float, contacts: int, rows: int, anew:
     if rows == 0:
         copy(direction, state.start_residual)
         lap(state.laps, state.time, SOLVE)
-        definite = not (anew or state.factored_holds[0] != 0) or refactor(model, state, h, 0, 0, 0)
+        definite = state.factored_holds[0] == 0 or refactor(model, state, h, 0, 0, 0)
         lap(state.laps, state.time, FACTOR)
         solve(model.pattern, state.L_lower, state.L_inverse, direction)
         add_to_velocities(model, state, direction)
@@ -69,7 +72,7 @@ def newton(model: Model, state: State, h: float, contacts: int, rows: int, anew:
     residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, change, True)
     if not missing < math.inf:
         return 0, residual, False
-    stale = anew or holds != state.factored_holds[0]
+    stale = holds != state.factored_holds[0]
     changed = False
     copy_first(state.factored, state.stiffness, rows)
     least, least_missing, iterations, stalled = residual, missing, 0, 0
