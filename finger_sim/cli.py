@@ -207,6 +207,19 @@ def _bench(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _figures(options: argparse.Namespace) -> int:
+    from .console import console, table
+    from .studies.figures import FIGURES, figures
+
+    for made in figures(options.only or list(FIGURES), options.out):
+        rows = table("the paper says", "we measure", "", "why")
+        for finding in made.findings:
+            verdict = {True: "agrees", False: "differs", None: ""}[finding.agrees]
+            rows.add_row(finding.paper, finding.measured, verdict, finding.reason)
+        console().print(f"{made.name}: {made.picture}, {made.data}", rows, "", sep="\n")
+    return DONE
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="finger_sim",
@@ -225,6 +238,7 @@ def _parser() -> argparse.ArgumentParser:
     info.add_argument("what", metavar="SCENE|BAG|MESH", help="file, folder, or name of a shipped one")
     _add_mesh(verbs)
     _add_bench(verbs)
+    _add_figures(verbs)
     _verb(
         verbs,
         "node",
@@ -398,6 +412,25 @@ def _add_bench(verbs: Any) -> None:
     add("--startup", action=argparse.BooleanOptionalAction, help="time cold and cached starts (default: yes)")
     add("--json", type=Path, metavar="FILE", help="write everything as JSON")
     add("--plot", type=Path, metavar="FILE.png", help="draw step times")
+
+
+def _add_figures(verbs: Any) -> None:
+    figures = _verb(
+        verbs,
+        "figures",
+        _figures,
+        "the paper's experiments, measured and drawn: a PNG and a JSON each",
+        "finger_sim figures --only beams standing --out figures",
+    )
+    names = ("beams", "finger", "standing", "isotropy", "locking", "speed")
+    figures.add_argument("--only", nargs="+", choices=names, metavar="NAME", help=f"of: {', '.join(names)}")
+    figures.add_argument(
+        "--out",
+        type=Path,
+        default=Path("figures"),
+        metavar="DIR",
+        help="folder for what is made (default: %(default)s)",
+    )
 
 
 def _verb(
