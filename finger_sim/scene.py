@@ -95,11 +95,12 @@ class Limits:
     `stretch` s_max ≥ 1 and `compress` s_min ≤ 1 bound the stretch; null on an axis leaves it free.
     """
 
-    projection: Literal["hyperbolic", "isotropic", "tensor"] = field(
+    projection: Literal["hyperbolic", "isotropic", "tensor", "orthogonal", "linear"] = field(
         "choice",
-        "How limits along the axes bound strain in all directions; hyperbolic: the paper's, tensor: beyond it",
+        "How limits along the axes bound strain in all directions; hyperbolic: the paper's, tensor: beyond it, "
+        "orthogonal and linear: the paper's counterexamples",
         default="hyperbolic",
-        choices=("hyperbolic", "isotropic", "tensor"),
+        choices=("hyperbolic", "isotropic", "tensor", "orthogonal", "linear"),
     )
     stretch: Limit3 = field(
         "limit3", "Largest stretch s_max along e1, e2, e3", default=(None, None, None), low=1.0, high=1e3

@@ -175,17 +175,19 @@ class System:
         return v.reshape(-1, 3)
 
 
-def limit_rows(F: Array, limits: Any, gap: float | None = None) -> list[tuple[float, Array, float]]:
-    """(C, ∂C/∂F, side) of every row of one tetrahedron (Eq. 9-12); side +1 stretch, −1 compression.
+def limit_rows(
+    F: Array, limits: Any, gap: float | None = None, both: bool = False
+) -> list[tuple[float, Array, float, float]]:
+    """(C, ∂C/∂F, side, room) of every row of one tetrahedron (Eq. 9-12, 19-22); side +1 stretch, −1 compression.
 
-    ∂V from the eigenvectors of FᵀF: dv_i = Σ_k v_k (v_kᵀ d(FᵀF) v_i) / (s_i² − s_k²), |denominator| ≥ gap;
-    left at zero, for values alone, when `gap` is None.
+    Of the side that s_i is on, or of `both`. ∂V from the eigenvectors of FᵀF:
+    dv_i = Σ_k v_k (v_kᵀ d(FᵀF) v_i) / (s_i² − s_k²), |denominator| ≥ gap; left at zero, for values alone, when `gap`
+    is None.
     """
     U, s, V = signed_svd(F)
     rows = []
     for i in range(3):
-        stretched = s[i] >= 1.0
-        side = 1.0 if stretched else -1.0
+        here = 1.0 if s[i] >= 1.0 else -1.0
         dV = np.zeros((3, 3, 3))  # d v_i [component, k, l] for dF = e_k e_lᵀ
         for k, l in itertools.product(range(3), range(3)) if gap is not None else ():
             dF = np.zeros((3, 3))
@@ -198,17 +200,34 @@ def limit_rows(F: Array, limits: Any, gap: float | None = None) -> list[tuple[fl
                         difference = gap if difference >= 0.0 else -gap
                     dV[:, k, l] += V[:, m] * (V[:, m] @ dC @ V[:, i]) / difference
         ds = np.outer(U[:, i], V[:, i])
-        if limits.projection == "isotropic":
-            bound = limits.stretch[0] if stretched else limits.compress[0]
-            if bound is not None:
-                rows.append((float(side * (bound - s[i])), -side * ds, side))
-            continue
-        for j in range(3):
-            bound = limits.stretch[j] if stretched else limits.compress[j]
-            if bound is not None:
-                C = side * ((bound - 1.0) - abs(V[j, i]) * (s[i] - 1.0))
-                dC_dF = -side * (np.sign(V[j, i]) * (s[i] - 1.0) * dV[j] + abs(V[j, i]) * ds)
-                rows.append((float(C), dC_dF, side))
+        for side in (here, -here) if both else (here,):
+            bounds = limits.stretch if side > 0.0 else limits.compress
+            rows += [
+                (side * C, side * dC, side, room) for C, dC, room in _of_axis(limits, bounds, V[:, i], s[i], dV, ds)
+            ]
+    return rows
+
+
+def _of_axis(limits: Any, bounds: Any, v: Array, s: float, dV: Array, ds: Array) -> list[tuple[float, Array, float]]:
+    """(limit − s, its ∂/∂F, room) of one principal axis v: of stretch; of compression with the opposite sign."""
+    limited = [j for j in range(3) if bounds[j] is not None]
+    if not limited:
+        return []
+    if limits.projection == "isotropic":
+        return [(bounds[0] - s, -ds, abs(bounds[0] - 1.0))]
+    if limits.projection == "linear":
+        if any(bounds[j] is None and v[j] != 0.0 for j in range(3)) and bounds[limited[0]] > 1.0:
+            return []
+        square = np.array([bounds[j] ** 2 if bounds[j] is not None else 0.0 for j in range(3)])
+        reach = np.sqrt(square @ v**2)
+        return [(float(reach - s), np.einsum("j,jkl->kl", square * v, dV) / reach - ds, float(abs(reach - 1.0)))]
+    rows = []
+    for j in limited:
+        room, turn = bounds[j] - 1.0, np.sign(v[j]) * dV[j]
+        if limits.projection == "orthogonal":
+            rows.append((float(room * abs(v[j]) - (s - 1.0)), room * turn - ds, float(abs(room * v[j]))))
+        else:
+            rows.append((float(room - abs(v[j]) * (s - 1.0)), -(turn * (s - 1.0) + abs(v[j]) * ds), float(abs(room))))
     return rows
 
 
@@ -269,18 +288,8 @@ def rows_of(F: Array, limits: Any, gap: float, near: float, coincide: float) -> 
     if limits.projection == "tensor":  # C = (1 − λ) / |y|²: the strain along y that is left
         rows = tensor_rows(F, limits, near, coincide)
         return [(C / size, dC_dF / size, 1.0 / size, share) for C, dC_dF, size, share in rows if size > 0.0]
-    plain = zip(limit_rows(F, limits, gap), _rooms(F, limits), strict=True)
-    return [(C, dC_dF, room, 1.0) for (C, dC_dF, _), room in plain]
-
-
-def _rooms(F: Array, limits: Any) -> list[float]:
-    out = []
-    for s in signed_svd(F)[1]:
-        bounds = limits.stretch if s >= 1.0 else limits.compress
-        out += [
-            abs(bounds[j] - 1.0) for j in range(1 if limits.projection == "isotropic" else 3) if bounds[j] is not None
-        ]
-    return out
+    both = limits.projection in ("orthogonal", "linear")
+    return [(C, dC_dF, room, 1.0) for C, dC_dF, _, room in limit_rows(F, limits, gap, both)]
 
 
 def strain_rows(

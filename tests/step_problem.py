@@ -27,7 +27,10 @@ LIMITS: dict[str, dict[str, Any]] = {
     "free axis": {"projection": "hyperbolic", "stretch": [None, 1.04, 1.04], "compress": [None, 0.96, 0.96]},
     "isotropic": {"projection": "isotropic", "stretch": 1.04, "compress": 0.96},
     "tensor": {"projection": "tensor", "stretch": [1.05, 1.25, 1.02], "compress": [0.95, 0.75, 0.98]},
+    "linear": {"projection": "linear", "stretch": [1.05, 1.25, 1.02], "compress": [0.95, 0.75, 0.98]},
 }
+ORTHOGONAL = {"projection": "orthogonal", "stretch": [1.05, 1.25, 1.02], "compress": [0.95, 0.75, 0.98]}
+"""Not among LIMITS: near rest its rows hang on the directions of singular values that are all but equal."""
 
 
 @dataclasses.dataclass

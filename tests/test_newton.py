@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
+import naive
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from physics_helpers import Array, beam_scene, finger_scene, healthy, pose, run
 from scipy.spatial.transform import Rotation
-from step_problem import LIMITS, Problem, check_against_qp, check_with_friction, stepped
+from step_problem import LIMITS, ORTHOGONAL, Problem, check_against_qp, check_with_friction, stepped
 
 from finger_sim import Pose, Scene, SceneError, Simulator, Status
 from finger_sim.physics.ready import ready
+from finger_sim.physics.strain_limits import SOLVER_GAP
 
 EXACT = {"method": "newton", "tolerance": 1e-10, "max_iterations": 200}
 BOTH = pytest.mark.parametrize("projection", ["hyperbolic", "tensor"])
+MORE = pytest.mark.parametrize("projection", ["hyperbolic", "tensor", "linear"])
 FLAT = Rotation.from_euler("x", 90, degrees=True)
 
 
@@ -68,7 +71,7 @@ def checked(sim: Simulator, command: Any, check: Any, least: int, most: int, ste
     return count
 
 
-@BOTH
+@MORE
 @pytest.mark.parametrize(("cells", "down", "least", "most"), CROWDS)
 def test_a_press_without_friction_against_clarabel(
     projection: str, cells: Any, down: float, least: int, most: int
@@ -142,7 +145,30 @@ def copied(sim: Simulator, other: Simulator) -> None:
     other.pose = sim.pose
 
 
-@BOTH
+@pytest.mark.parametrize("method", ["newton", "pgs"])
+@pytest.mark.parametrize("projection", [*LIMITS, "orthogonal"])
+def test_a_crumpled_block_against_clarabel(projection: str, method: str) -> None:
+    """A step from a state of large strain, singular values well apart: every projection, both solvers."""
+    solver = EXACT | {"method": method, "max_iterations": 200_000}
+    which = LIMITS.get(projection, ORTHOGONAL) | {"stiffness": 30.0, "inertia": 30.0}
+    top = {"box": [[-1, -1, 0.0199], [1, 1, 1]]}
+    sim = Simulator(beam_scene((0.04, 0.04, 0.02), (2, 2, 1), young=2e4, driven=top, limits=which, solver=solver))
+    rng, X = np.random.default_rng(5), sim.mesh.points
+    body = naive.Body.of(sim.scene, sim.mesh)
+    moves = np.setdiff1d(np.arange(len(X)), sim.scene.driven_nodes(sim.mesh))
+    while True:
+        x = X.copy()
+        x[moves] += 0.003 * rng.standard_normal((len(moves), 3))
+        s = np.array([naive.signed_svd(F)[1] for F in body.deformation(x)])
+        if np.abs(np.diff(s**2, axis=1))[np.ptp(s, axis=1) > 1e-9].min() > SOLVER_GAP and s.min() > 0.3:
+            break
+    sim.set_state(x, 0.1 * rng.standard_normal(x.shape))
+    problem = stepped(sim, None)
+    assert problem.out.limit_rows > 15
+    check_against_qp(problem)
+
+
+@MORE
 def test_both_methods_take_the_same_step(projection: str) -> None:
     """From the same state `newton` and `pgs` go to the same velocities and forces to 1e-6: free, stuck and sliding.
 

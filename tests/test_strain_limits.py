@@ -1,4 +1,4 @@
-"""Strain limits: values against Eq. 9-12 by LAPACK, gradients against finite differences, in the hard places too."""
+"""Strain limits: values against Eq. 9-12 and 19-22 by LAPACK, gradients against finite differences, in the hard places too."""
 
 from __future__ import annotations
 
@@ -20,7 +20,20 @@ PAPER = Limits("hyperbolic", (1.05, 1.25, 1.02), (0.95, 0.75, 0.98))
 FREE_AXIS = Limits("hyperbolic", (None, 1.04, 1.1), (0.9, None, 0.96))
 ISOTROPIC = Limits("isotropic", (1.04,) * 3, (0.93,) * 3)
 ONE_SIDED = Limits("isotropic", (1.04,) * 3, (None,) * 3)
-ALL = {"paper": PAPER, "free axis": FREE_AXIS, "isotropic": ISOTROPIC, "one-sided": ONE_SIDED}
+ORTHOGONAL = Limits("orthogonal", (1.05, 1.25, 1.02), (0.95, 0.75, 0.98))
+ORTHOGONAL_FREE = Limits("orthogonal", (None, 1.04, 1.1), (0.9, None, 0.96))
+LINEAR = Limits("linear", (1.05, 1.25, 1.02), (0.95, 0.75, 0.98))
+LINEAR_FREE = Limits("linear", (None, 1.04, 1.1), (0.9, None, 0.96))
+ALL = {
+    "paper": PAPER,
+    "free axis": FREE_AXIS,
+    "isotropic": ISOTROPIC,
+    "one-sided": ONE_SIDED,
+    "orthogonal": ORTHOGONAL,
+    "orthogonal, free axis": ORTHOGONAL_FREE,
+    "linear": LINEAR,
+    "linear, free axis": LINEAR_FREE,
+}
 each = pytest.mark.parametrize("limits", ALL.values(), ids=ALL)
 
 seeds = st.integers(0, 2**32 - 1)
@@ -57,11 +70,11 @@ def matched(C: Array, rows: Array, C_naive: Array, rows_naive: Array) -> tuple[A
 @each
 @settings(max_examples=60, deadline=None)
 @given(seed=seeds)
-def test_values_are_equations_9_to_12(limits: Limits, seed: int) -> None:
-    """Every C of Eq. 9-12, by numpy.linalg.svd, inverted tetrahedra included; and the count of rows."""
+def test_values_are_the_paper_s(limits: Limits, seed: int) -> None:
+    """Every C of Eq. 9-12, 19-22, by numpy.linalg.svd, inverted tetrahedra included; and the count of rows."""
     F = np.random.default_rng(seed).standard_normal((3, 3)) * 0.3 + np.eye(3)
     C, gradients = evaluate(F, limits)
-    expected = sorted(value for value, _, _ in naive.limit_rows(F, limits))
+    expected = sorted(value for value, *_ in naive.limit_rows(F, limits))
     assert_allclose(np.sort(C), expected, rtol=0, atol=1e-12)
     assert gradients.shape == (len(C), 3, 3)
 
@@ -80,6 +93,32 @@ def test_values_along_the_axes_by_hand(F: Array, expected: list[float]) -> None:
     assert_allclose(np.sort(C), np.sort(expected), rtol=0, atol=1e-14)
 
 
+def test_orthogonal_has_no_room_across_its_axes() -> None:
+    """Eq. 19-20 with V = I: s_i may be no other than 1 as long as another axis is limited (the paper, Section 5.2)."""
+    C, _ = evaluate(np.diag([1.01, 1.0, 1.0]), Limits("orthogonal", (None, 1.05, None), (None, 0.95, None)))
+    assert_allclose(np.sort(C), [-0.01, 0.0, 0.05], rtol=0, atol=1e-14)
+
+
+def test_linear_is_no_ellipsoid() -> None:
+    """Eq. 21-22 as printed: |diag(s) v|, more than where the direction v meets the ellipsoid, 1 / |v / s|."""
+    limits = Limits("linear", (1.05, 2.0, 1.05), (None,) * 3)
+    v = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
+    C, _ = evaluate(np.eye(3) + 0.1 * np.outer(v, v), limits)
+    assert C[0] == pytest.approx(np.sqrt((1.05**2 + 2.0**2) / 2.0) - 1.1, abs=1e-12)
+    assert C[0] + 1.1 > 1.0 / np.sqrt((1.05**-2 + 2.0**-2) / 2.0) + 0.2
+
+
+def test_linear_bounds_nothing_next_to_a_free_axis() -> None:
+    """A principal axis that a free one has the least part in may stretch without end, but not shrink so."""
+    limits = Limits("linear", (None, 1.05, 1.05), (None, 0.95, 0.95))
+    v = np.array([1e-6, 1.0, 0.0])
+    v /= np.linalg.norm(v)
+    along = np.outer(v, v)
+    assert evaluate(np.eye(3) + 9.0 * along, limits)[0].min(initial=0.0) >= -1e-9
+    assert evaluate(np.eye(3) - 0.06 * along, limits)[0].min() == pytest.approx(-0.01, abs=1e-6)
+    assert evaluate(np.diag([1.0, 1.06, 1.0]), limits)[0].min() == pytest.approx(-0.01, abs=1e-12)
+
+
 def test_number_of_rows() -> None:
     """Nine rows hyperbolic, three isotropic, none for a free axis on its free side, none at all without limits."""
     stretched, squeezed = np.diag([1.3, 1.2, 1.1]), np.diag([0.7, 0.8, 0.9])
@@ -93,7 +132,7 @@ def test_number_of_rows() -> None:
     assert evaluate(stretched, Limits())[0].shape == (0,)
 
 
-@each
+@pytest.mark.parametrize("limits", [v for k, v in ALL.items() if not k.startswith("orthogonal")])
 def test_inside_is_positive_and_outside_negative(limits: Limits) -> None:
     """C ≥ 0 within the tightest room in every direction; C < 0 where a limited axis is passed along itself."""
     for seed in range(30):
@@ -115,7 +154,7 @@ def test_an_F_that_is_none_is_refused(F: Any) -> None:
 
 def values_by_lapack(F: Array, limits: Limits) -> Array:
     """C of every row, singular values in descending order of magnitude."""
-    return np.array([value for value, _, _ in naive.limit_rows(F, limits)])
+    return np.array([value for value, *_ in naive.limit_rows(F, limits)])
 
 
 def check_gradients(F: Array, limits: Limits, step: float, rtol: float, atol: float = 1e-9) -> None:

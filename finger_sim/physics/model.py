@@ -342,7 +342,8 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
     tensor, limited = model.projection == strain_limits.TENSOR, model.projection != strain_limits.NONE
     spectral = count if limited and not tensor else 0
     contacts = len(model.contact_nodes) * model.has_plane
-    rows = (12 * count if tensor else 9 * spectral) + 3 * contacts
+    both_sides = model.projection in (strain_limits.ORTHOGONAL, strain_limits.LINEAR)
+    rows = (12 * count if tensor else (18 if both_sides else 9) * spectral) + 3 * contacts
     pgs = model.method == PGS
     if pgs:
         rows = min(MAX_ROWS, rows)

@@ -3,12 +3,16 @@ r"""Strain limits: the rows C ≥ 0 of one tetrahedron and their gradients.
 With F = U diag(s) Vᵀ in material axes, stretch room a⁺_j = s_max,j − 1 and compression room a⁻_j = 1 − s_min,j:
 
 * `hyperbolic` (Eq. 7-8, 11-12): C_ij = a_j − |V_ji| |s_i − 1|, up to nine rows; the sign of s_i − 1 picks a⁺ or a⁻,
-  a free axis j (a_j = ∞) has none. Gradient with the full derivative of V (Eq. 13-18):
-  ∂|V_ji|/∂F = sign(V_ji) Σ_{k≠i} V_jk (s_k u_k v_iᵀ + s_i u_i v_kᵀ) / (s_i² − s_k²).
-* `isotropic` (Eq. 9-10): C_i = a − |s_i − 1|, up to three rows, ∂s_i/∂F = u_i v_iᵀ.
-
+  a free axis j (a_j = ∞) has none.
+* `isotropic` (Eq. 9-10): C_i = a − |s_i − 1|, up to three rows.
+* `orthogonal` (Eq. 19-20): C_ij = |V_ji| a_j − |s_i − 1|, up to nine rows: the paper's example of too stiff a rule.
+  A principal axis across e_j has no room at all.
+* `linear` (Eq. 21-22): C_i = ± (b_i − s_i), b_i = |diag(s_max) V e_i| (s_min: compression), up to three rows: the
+  paper's example of too soft a rule. A free axis counts as s_max = ∞ or s_min = 0.
 * `tensor`: see tensor_limit.py.
 
+Gradients have the full derivative of V (Eq. 13-18), ∂s_i/∂F = u_i v_iᵀ and
+∂V_ji/∂F = Σ_{k≠i} V_jk (s_k u_k v_iᵀ + s_i u_i v_kᵀ) / (s_i² − s_k²).
 The denominator vanishes where singular values cross (and at s_i = −s_k, inverted): its magnitude is kept at
 `gap` or more. A row of a tetrahedron becomes a row of the step by ∂C/∂x_n = (∂C/∂F) r_n.
 """
@@ -30,8 +34,14 @@ from .tensor_limit import evaluate_tensor, limit_factors
 if TYPE_CHECKING:
     from .model import Model, State
 
-NONE, HYPERBOLIC, ISOTROPIC, TENSOR = 0, 1, 2, 3
-PROJECTIONS = {"hyperbolic": HYPERBOLIC, "isotropic": ISOTROPIC, "tensor": TENSOR}
+NONE, HYPERBOLIC, ISOTROPIC, TENSOR, ORTHOGONAL, LINEAR = range(6)
+PROJECTIONS = {
+    "hyperbolic": HYPERBOLIC,
+    "isotropic": ISOTROPIC,
+    "tensor": TENSOR,
+    "orthogonal": ORTHOGONAL,
+    "linear": LINEAR,
+}
 
 SOLVER_GAP = 0.03  # |s_i² − s_k²| in a step's rows: what keeps a force near crossing singular values from exploding
 EXACT_GAP = 1e-12  # in `evaluate`: the plain derivative
@@ -39,6 +49,7 @@ EXACT_GAP = 1e-12  # in `evaluate`: the plain derivative
 # that its neighbours push past it in between has no way back but the next step; a stiff one gives by less.
 _MARGIN, _RIGID_MARGIN = 0.05, 0.15
 _NO_GRADIENT = 1e-20  # |J|² at free nodes, in units of the tetrahedra's size, of a row that nothing can move
+_LEAST_REACH = 1e-9  # of |diag(s_min) V e_i| in a gradient
 _RATIO_ROOM = 1e-3  # strain/limit is counted in units of the room, but of no less than this
 
 
@@ -62,12 +73,13 @@ def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floa
     C: list[float] = []
     gradients: list[Any] = []
     for i in np.argsort(-np.abs(s), kind="stable"):
-        for j in range(3 if projection == HYPERBOLIC else 1):
-            room = stretch[j] if s[i] >= 1.0 else compress[j]
+        side, rooms = (1.0, stretch) if s[i] >= 1.0 else (-1.0, compress)
+        for j in range(rows_of(projection)):
+            room = room_of(projection, V, i, j, side, rooms)
             if np.isfinite(room):
                 p, q = np.empty(3), np.empty(3)
-                gradient(projection, U, s, V, i, j, gap, p, q)
-                C.append(float(room - used(projection, s, V, i, j)))
+                gradient(projection, U, s, V, i, j, side, rooms, gap, p, q)
+                C.append(float(room - used(projection, s, V, i, j, side)))
                 gradients.append(np.outer(U[:, i], p) + np.outer(q, V[:, i]))
     return np.array(C), np.array(gradients).reshape(-1, 3, 3)
 
@@ -83,34 +95,86 @@ def _evaluate_tensor(F: Floats, rooms: Floats) -> tuple[Floats, Floats]:
 
 
 @kernel
-def used(projection: int, s: Floats, V: Floats, i: int, j: int) -> float:
+def rows_of(projection: int) -> int:
+    """Rows of a principal axis on one side: one per material axis, or one."""
+    return 3 if projection == HYPERBOLIC or projection == ORTHOGONAL else 1
+
+
+@kernel
+def room_of(projection: int, V: Floats, i: int, j: int, side: float, rooms: Floats) -> float:
+    """Room of row (i, j) on the stretch side (+1) or the compression side (−1); ∞: there is no such row.
+
+    rooms (3,): that side's, along e1, e2, e3.
+    """
+    if projection == LINEAR:
+        if side > 0.0:
+            for k in range(3):
+                if V[k, i] != 0.0 and not rooms[k] < math.inf:
+                    return math.inf
+        elif not min(rooms[0], rooms[1], rooms[2]) < math.inf:
+            return math.inf
+        return side * (_reach(V, i, side, rooms) - 1.0)
+    if projection == ORTHOGONAL:
+        return rooms[j] * abs(V[j, i]) if rooms[j] < math.inf else math.inf
+    room: float = rooms[j]
+    return room
+
+
+@kernel
+def used(projection: int, s: Floats, V: Floats, i: int, j: int, side: float) -> float:
     """How much of its room row (i, j) has used up: C = room − used."""
     weight: float = abs(V[j, i]) if projection == HYPERBOLIC else 1.0
-    return weight * abs(float(s[i]) - 1.0)
+    return weight * side * (float(s[i]) - 1.0)
+
+
+@kernel
+def _reach(V: Floats, i: int, side: float, rooms: Floats) -> float:
+    """|diag(s) V e_i| of the limits s along the axes (Eq. 21, 22)."""
+    total = 0.0
+    for k in range(3):
+        along = _bound(side, rooms[k]) * V[k, i]
+        total += along * along
+    return math.sqrt(total)
+
+
+@kernel
+def _bound(side: float, room: float) -> float:
+    """s_max or s_min of an axis for `linear`; 0: a free one, which in a stretch row has no part."""
+    return 1.0 + side * room if room < math.inf else 0.0
 
 
 @kernel
 def gradient(
-    projection: int, U: Floats, s: Floats, V: Floats, i: int, j: int, gap: float, p: Floats, q: Floats
-) -> None:
-    """∂C/∂F of row (i, j) as u_i pᵀ + q v_iᵀ; p, q (3,) out (Eq. 13, 17, 18; isotropic: Eq. 13 alone)."""
-    side = -1.0 if s[i] >= 1.0 else 1.0
-    along = side
+    projection: int, U: Floats, s: Floats, V: Floats, i: int, j: int, side: float, rooms: Floats, gap: float,
+    p: Floats, q: Floats,
+) -> None:  # fmt: skip
+    """∂C/∂F of row (i, j) as u_i pᵀ + q v_iᵀ; p, q (3,) out. By Eq. 13 through s_i, by Eq. 17-18 through V."""
+    along = -side
     if projection == HYPERBOLIC:
-        along = side * abs(V[j, i])
+        along = -side * abs(V[j, i])
     for k in range(3):
         p[k] = along * V[k, i]
         q[k] = 0.0
-    if projection != HYPERBOLIC:
+    if projection == ISOTROPIC:
         return
-    turn = side * (s[i] - 1.0) * (1.0 if V[j, i] >= 0.0 else -1.0)
+    sign = 1.0 if V[j, i] >= 0.0 else -1.0
+    reach = max(_reach(V, i, side, rooms), _LEAST_REACH) if projection == LINEAR else 1.0
     for m in range(3):
         if m == i:
             continue
+        if projection == HYPERBOLIC:
+            turn = -side * (s[i] - 1.0) * sign * V[j, m]
+        elif projection == ORTHOGONAL:
+            turn = rooms[j] * sign * V[j, m]
+        else:
+            turn = 0.0
+            for k in range(3):
+                bound = _bound(side, rooms[k])
+                turn += side * bound * bound * V[k, i] * V[k, m] / reach
         difference = s[i] * s[i] - s[m] * s[m]
         if abs(difference) < gap:
             difference = gap if difference >= 0.0 else -gap
-        w = turn * V[j, m] / difference
+        w = turn / difference
         for k in range(3):
             p[k] += w * s[i] * V[k, m]
             q[k] += w * s[m] * U[k, m]
@@ -119,17 +183,18 @@ def gradient(
 @kernel
 def strain_ratio(model: Model, state: State) -> None:
     """strain/limit of every tetrahedron into state.strain_ratio (T,): 1 is exactly at its nearest limit."""
-    axes = 3 if model.projection == HYPERBOLIC else 1
     stretches, axes_of, ratio, projection = state.s, state.V, state.strain_ratio, model.projection
     stretch_room, compress_room = model.stretch_room, model.compress_room
     for t in range(ratio.shape[0]):
         s, V = stretches[t], axes_of[t]
         worst = 0.0
         for i in range(3):
-            for j in range(axes):
-                room = stretch_room[j] if s[i] >= 1.0 else compress_room[j]
+            side = 1.0 if s[i] >= 1.0 else -1.0
+            rooms = stretch_room if s[i] >= 1.0 else compress_room
+            for j in range(rows_of(projection)):
+                room = room_of(projection, V, i, j, side, rooms)
                 if room < math.inf:
-                    excess = used(projection, s, V, i, j) - room
+                    excess = used(projection, s, V, i, j, side) - room
                     worst = max(worst, 1.0 + excess / max(room, _RATIO_ROOM))
         ratio[t] = worst
 
@@ -141,7 +206,6 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
     Writes state.J (rows, 4, 4) [1/m], row_slot, constant C + h J v at state.v, and the row's key: tetrahedron, i, j
     and side; the rest is for `finish_rows`. -1 when the arrays hold no more rows.
     """
-    axes = 3 if model.projection == HYPERBOLIC else 1
     p, q = state.P[0], state.P[1]
     margin = _MARGIN if model.limit_compliance > 0.0 else _RIGID_MARGIN
     least = _NO_GRADIENT / model.length**2
@@ -154,45 +218,49 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
     row_side, constant, projection = state.row_side, state.constant, model.projection
     shares = state.compliance
     stretch_room, compress_room = model.stretch_room, model.compress_room
+    turning = projection == ORTHOGONAL or projection == LINEAR  # the room itself changes, and may vanish: both sides
+    axes = rows_of(projection)
     for o in range(order.shape[0]):
         t = order[o]
         if not moves[t]:
             continue
         U, s, V, r = left[t], stretches[t], right[t], gradients[t]
         reach = -1.0
-        for i in range(3):
-            stretched = s[i] >= 1.0
-            for j in range(axes):
-                room = stretch_room[j] if stretched else compress_room[j]
-                if not room < math.inf:
+        for number in range(3 * axes * (2 if turning else 1)):
+            i, j = number // axes % 3, number % axes
+            stretched = (s[i] >= 1.0) == (number < 3 * axes)
+            side = 1.0 if stretched else -1.0
+            rooms = stretch_room if stretched else compress_room
+            room = room_of(projection, V, i, j, side, rooms)
+            if not room < math.inf:
+                continue
+            C = room - used(projection, s, V, i, j, side)
+            near = margin * room
+            if near < C and not turning:
+                if reach < 0.0:
+                    reach = h * _strain_rate(tets[t], velocities, r, U, V, scratch)
+                if C - reach > near:
                     continue
-                C = room - used(projection, s, V, i, j)
-                near = margin * room
-                if near < C:
-                    if reach < 0.0:
-                        reach = h * _strain_rate(tets[t], velocities, r, U, V, scratch)
-                    if C - reach > near:
-                        continue
-                gradient(projection, U, s, V, i, j, SOLVER_GAP, p, q)
-                change = force = 0.0
-                if rows >= row_tet.shape[0]:
-                    return -1
-                J = all_J[rows]
-                for n in range(4):
-                    v, slot = velocities[tets[t, n]], tet_slot[t, n]
-                    a = p[0] * r[n, 0] + p[1] * r[n, 1] + p[2] * r[n, 2]
-                    b = V[0, i] * r[n, 0] + V[1, i] * r[n, 1] + V[2, i] * r[n, 2]
-                    for k in range(3):
-                        g = U[k, i] * a + q[k] * b
-                        J[n, k] = g
-                        change += g * v[k]
-                        force += g * g if slot < nf else 0.0
-                    row_slot[rows, n] = slot
-                if (near < C and C + h * change > near) or force <= least:
-                    continue
-                row_tet[rows], row_key[rows] = t, 3 * i + j
-                row_side[rows], constant[rows], shares[rows] = 1.0 if stretched else -1.0, C + h * change, 1.0
-                rows += 1
+            gradient(projection, U, s, V, i, j, side, rooms, SOLVER_GAP, p, q)
+            change = force = 0.0
+            if rows >= row_tet.shape[0]:
+                return -1
+            J = all_J[rows]
+            for n in range(4):
+                v, slot = velocities[tets[t, n]], tet_slot[t, n]
+                a = p[0] * r[n, 0] + p[1] * r[n, 1] + p[2] * r[n, 2]
+                b = V[0, i] * r[n, 0] + V[1, i] * r[n, 1] + V[2, i] * r[n, 2]
+                for k in range(3):
+                    g = U[k, i] * a + q[k] * b
+                    J[n, k] = g
+                    change += g * v[k]
+                    force += g * g if slot < nf else 0.0
+                row_slot[rows, n] = slot
+            if (near < C and C + h * change > near) or force <= least:
+                continue
+            row_tet[rows], row_key[rows] = t, 3 * i + j
+            row_side[rows], constant[rows], shares[rows] = side, C + h * change, 1.0
+            rows += 1
     return rows
 
 
