@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.table import Table
 
+from . import locking
 from .bags import BagReader
 from .console import table
 from .errors import FingerSimError
@@ -98,10 +99,40 @@ def _scene(path: Path) -> Iterator[tuple[str, Table]]:
     }  # fmt: skip
     yield f"scene {path}", _pairs(facts)
     yield "mesh", _pairs(mesh.summary())
+    if scene.limits is not None:
+        yield "over-constraint", _pairs(_locking(scene, scene.limits, mesh))
     parameters = table("name", "value", "unit", "live", "meaning")
     for name, value, spec in ((p.name, p.value, p.spec) for p in scene.parameters()):
         parameters.add_row(name, _plain(value), spec.unit, "live" if spec.live else "", spec.doc)
     yield "parameters", parameters
+
+
+def _locking(scene: Scene, limits: Limits, mesh: TetMesh) -> dict[str, str]:
+    """What may lock, before a run."""
+    is_free = np.ones(len(mesh.points), bool)
+    is_free[scene.driven_nodes(mesh)] = False
+    counted = locking.count(limits, is_free[mesh.tets].sum(axis=1), int(is_free.sum()))
+    stiffness = locking.bulk_to_shear(scene.material)
+    stiff = stiffness >= locking.STIFF_BULK
+    strain, volume = locking.isochoric_strain(limits), locking.volume_at_limit(limits)
+    facts = {
+        "rows against freedoms": f"up to {counted.rows_each} rows a tetrahedron, on {locking.STRAINS} strains at most: "
+        f"{counted.crowded} tetrahedra can have more rows than ways to deform; "
+        f"one row each are {counted.rows} rows on {counted.freedoms} freedoms of the mesh",
+        "bulk against shear": f"K/μ = {stiffness:.3g} at ν {scene.material.poisson:g}: "
+        + ("stiff, so volume is all but kept" if stiff else "not stiff, so volume gives"),
+    }
+    for side, word, sign in ((0, "stretch", 1.0), (1, "compression", -1.0)):
+        for j in np.flatnonzero(np.isfinite(strain[side])):
+            reached = f"s{j + 1} = {1.0 + sign * strain[side, j]:.4g}"
+            end = "no limit of its own" if np.isnan(volume[side, j]) else f"at its limit V/V₀ = {volume[side, j]:.4g}"
+            facts[f"{word} along e{j + 1}"] = (
+                f"at constant volume the other limits end it at {reached}; {end}"
+                + (": locks beyond" if stiff else "")
+            )  # fmt: skip
+    if not np.isfinite(strain).any():
+        facts["limits against volume"] = "every limit can be met at constant volume"
+    return facts
 
 
 def _memory(scene: Scene, mesh: TetMesh) -> int:

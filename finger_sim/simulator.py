@@ -46,6 +46,7 @@ class StepResult:
     status: Status  # 0: all well
     limited_tets: int  # tetrahedra held by at least one limit
     limit_rows: int  # limit rows that carry a force
+    locked_tets: int  # tetrahedra at a limit that are over-constrained: see locking.py
     max_strain_ratio: float  # largest strain/limit, 1: exactly at the limit; 0 without limits
     contacts: int  # nodes that carry a contact force
     max_penetration: float  # deepest surface node [m], 0 when none
@@ -124,6 +125,7 @@ class Simulator:
             status=Status(status),
             limited_tets=int(result[stepping.LIMITED_TETS]),
             limit_rows=int(result[stepping.LIMIT_ROWS]),
+            locked_tets=int(result[stepping.LOCKED_TETS]),
             max_strain_ratio=result[stepping.STRAIN_RATIO],
             contacts=int(result[stepping.CONTACTS]),
             max_penetration=result[stepping.PENETRATION],

@@ -1,4 +1,4 @@
-"""Strain limits: values against Eq. 9-12 and 19-22 by LAPACK, gradients against finite differences, in the hard places too."""
+"""Strain limits: values against Eq. 9-12 and 19-22 by LAPACK, gradients against differences, in the hard places too."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arrays import Floats, Ints
+from ..locking import STIFF_BULK, bulk_to_shear, isochoric_strain
 from ..mesh import TetMesh
 from ..scene import Scene
 from . import linear_solver, strain_limits
@@ -67,6 +68,7 @@ class Model(NamedTuple):
     stretch_room: Floats  # (3,) a⁺, ∞: free
     compress_room: Floats  # (3,) a⁻, ∞: free
     limit_factors: Floats  # (2, 9) what `tensor` weighs strain with: see tensor_limit.limit_factors
+    isochoric_strain: Floats  # (2, 3) stretch, compression along e_j that volume and the other limits allow, ∞: any
     limit_compliance: float  # 1 / (κ E) [1/Pa]: divided by a volume, a limit row's compliance [1/(N m)]; 0: rigid
     limit_inertia: float  # a limit is at least so many times as stiff as the inertia behind it in one step
     limit_viscosity: float  # of limit forces that turn, in units of themselves: see elasticity.py
@@ -164,7 +166,7 @@ class State(NamedTuple):
     turn: Floats  # (3, 3, BATCH) scratch
     P: Floats  # (3, 3) scratch
     D: Floats  # (3, 3) scratch
-    result: Floats  # (8,) what a step reports: see step.py
+    result: Floats  # (9,) what a step reports: see step.py
 
 
 def build_model(scene: Scene, mesh: TetMesh) -> Model:
@@ -205,7 +207,9 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
     young, poisson = scene.material.young, scene.material.poisson
     length = float(np.cbrt(volume.mean()))
     limits, plane, solver = scene.limits, scene.plane, scene.solver
-    factors = np.zeros((2, 9))
+    factors, isochoric = np.zeros((2, 9)), np.full((2, 3), np.inf)
+    if limits and bulk_to_shear(scene.material) >= STIFF_BULK:
+        isochoric = isochoric_strain(limits)
     if limits:
         limit_factors(np.array([limits.stretch_room, limits.compress_room]), factors)
     return Model(
@@ -247,6 +251,7 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
         stretch_room=limits.stretch_room if limits else np.full(3, np.inf),
         compress_room=limits.compress_room if limits else np.full(3, np.inf),
         limit_factors=factors,
+        isochoric_strain=isochoric,
         limit_compliance=1.0 / (limits.stiffness * young) if limits and limits.stiffness else 0.0,
         limit_inertia=limits.inertia if limits else 0.0,
         limit_viscosity=limits.viscosity if limits else 0.0,
@@ -430,5 +435,5 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
         turn=np.zeros((3, 3, BATCH)),
         P=np.zeros((3, 3)),
         D=np.zeros((3, 3)),
-        result=np.zeros(8),
+        result=np.zeros(9),
     )

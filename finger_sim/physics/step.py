@@ -6,6 +6,7 @@ import enum
 from typing import TYPE_CHECKING
 
 from ..arrays import Floats
+from ..locking import STRAINS
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
@@ -33,7 +34,7 @@ class Status(enum.IntFlag):
     INVERTED = 2  # a tetrahedron is inside out
     ITERATION_LIMIT = 4  # the solver stopped before its tolerance: best iterate used
     STEP_REJECTED = 8  # the step was not taken; the body was moved rigidly with its bone, or stopped if it has none
-    LOCKED = 16  # a tetrahedron has more rows at their limit than ways to deform
+    LOCKED = 16  # a tetrahedron is over-constrained: see locking.py
     ROW_LIMIT = 32  # more rows near their limit than the arrays hold: the others were left out
     COMMAND_LIMITED = 64  # the command moved faster than the coupling allows and is being caught up with
     LIMIT_EXCEEDED = (
@@ -42,7 +43,7 @@ class Status(enum.IntFlag):
 
 
 # Where `step` writes what it reports, in State.result.
-STATUS, ITERATIONS, RESIDUAL, LIMIT_ROWS, LIMITED_TETS, STRAIN_RATIO, CONTACTS, PENETRATION = range(8)
+STATUS, ITERATIONS, RESIDUAL, LIMIT_ROWS, LIMITED_TETS, STRAIN_RATIO, CONTACTS, PENETRATION, LOCKED_TETS = range(9)
 
 _FARTHEST = 1e9  # tetrahedron sizes that a node may go in one step
 _REJECTED = int(Status.NONFINITE | Status.STEP_REJECTED)
@@ -208,7 +209,7 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
             strain_ratio(model, state)
             result[STRAIN_RATIO] = state.strain_ratio.max()
         active_rows, warm, lam = state.active_rows, state.warm_limit, state.lam
-        row_tet, row_key, row_side, moves = state.row_tet, state.row_key, state.row_side, model.tet_moves
+        row_tet, row_key, row_side = state.row_tet, state.row_key, state.row_side
         keeps = model.method == PGS
         counted = 2 * DIRECTIONS if model.projection == TENSOR else 9
         if keeps:
@@ -230,8 +231,9 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
                     limit_rows += 1
                     limited_tets += active_rows[t] == 0
                     active_rows[t] += 1
-                    if active_rows[t] > min(6, 3 * moves[t]):
-                        status |= _LOCKED
+        result[LOCKED_TETS] = locked = locked_tets(model, state)
+        if locked > 0 or limit_rows > 3 * model.free.shape[0]:
+            status |= _LOCKED
         result[LIMIT_ROWS], result[LIMITED_TETS] = limit_rows, limited_tets
         state.held_tets[0] = limited_tets
     if result[STRAIN_RATIO] > _EXCEEDED:
@@ -239,3 +241,23 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
     if state.inverted[0] > 0:
         status |= _INVERTED
     result[STATUS] = status
+
+
+@stage
+def locked_tets(model: Model, state: State) -> int:
+    """How many tetrahedra at a limit are over-constrained.
+
+    More rows hold them than they have ways to deform, or they are strained further along an axis than the others'
+    limits allow at constant volume.
+    """
+    active_rows, moves, strains, allowed = state.active_rows, model.tet_moves, state.E, model.isochoric_strain
+    count = 0
+    for t in range(active_rows.shape[0]):
+        if active_rows[t] == 0:
+            continue
+        locked = active_rows[t] > min(STRAINS, 3 * moves[t])
+        for j in range(3):
+            strain = strains[t // 8, j, t % 8]
+            locked |= strain > allowed[0, j] or -strain > allowed[1, j]
+        count += locked
+    return count

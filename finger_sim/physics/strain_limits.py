@@ -97,7 +97,7 @@ def _evaluate_tensor(F: Floats, rooms: Floats) -> tuple[Floats, Floats]:
 @kernel
 def rows_of(projection: int) -> int:
     """Rows of a principal axis on one side: one per material axis, or one."""
-    return 3 if projection == HYPERBOLIC or projection == ORTHOGONAL else 1
+    return 3 if projection in (HYPERBOLIC, ORTHOGONAL) else 1
 
 
 @kernel
@@ -218,7 +218,7 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
     row_side, constant, projection = state.row_side, state.constant, model.projection
     shares = state.compliance
     stretch_room, compress_room = model.stretch_room, model.compress_room
-    turning = projection == ORTHOGONAL or projection == LINEAR  # the room itself changes, and may vanish: both sides
+    turning = projection in (ORTHOGONAL, LINEAR)  # the room itself changes, and may vanish: both sides
     axes = rows_of(projection)
     for o in range(order.shape[0]):
         t = order[o]

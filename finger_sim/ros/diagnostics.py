@@ -87,6 +87,7 @@ class Reporter:
                 "residual": f"{window.residual:.3g}",
                 "active rows": str(window.limit_rows),
                 "limited tets": str(window.limited_tets),
+                "locked tets": str(window.locked_tets),
                 "contacts": str(window.contacts),
                 "max strain/limit": f"{window.max_strain_ratio:.4f}",
                 "penetration [mm]": f"{window.max_penetration * 1e3:.5f}",

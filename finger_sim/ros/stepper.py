@@ -34,6 +34,7 @@ class Window:
     residual: float = 0.0
     limit_rows: int = 0
     limited_tets: int = 0
+    locked_tets: int = 0
     contacts: int = 0
     max_strain_ratio: float = 0.0
     max_penetration: float = 0.0
@@ -47,6 +48,7 @@ class Window:
         self.residual = max(self.residual, out.residual)
         self.limit_rows = max(self.limit_rows, out.limit_rows)
         self.limited_tets = max(self.limited_tets, out.limited_tets)
+        self.locked_tets = max(self.locked_tets, out.locked_tets)
         self.contacts = max(self.contacts, out.contacts)
         self.max_strain_ratio = max(self.max_strain_ratio, out.max_strain_ratio)
         self.max_penetration = max(self.max_penetration, out.max_penetration)
