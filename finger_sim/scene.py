@@ -208,6 +208,14 @@ class Solver:
     relinearizations: int = field(
         "int", "Times a step is linearised anew about where it ends (0: as the paper)", default=0, low=0, high=100
     )
+    settle: bool = field(
+        "bool",
+        "Linearise steps that do not move the driven nodes twice: a held body comes to rest (newton, level standard)",
+        default=True,
+    )
+    sleep: bool = field(
+        "bool", "Do not compute steps of a body at rest under a command that does not change", default=True
+    )
     level: Literal["standard", "lagged"] = field(
         "choice",
         "standard: all linearised every step; lagged: one stiffness matrix for 4 steps (newton only)",

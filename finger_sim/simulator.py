@@ -23,6 +23,7 @@ from .physics.compile import compiled_before
 from .physics.model import build_model, build_state, with_live_values
 from .physics.ready import advance, measure_strains, ready, refresh
 from .physics.step import Status
+from .physics.work import WORK
 from .rotations import ZERO_NORM, matrix, normalised
 from .scene import Pose, Scene
 
@@ -31,6 +32,9 @@ Progress = Callable[[str], None]
 _POSE = specs(Pose)
 _FARTHEST = _POSE["position"].high
 _REJECTED = int(Status.STEP_REJECTED)
+_UNSETTLED = int(Status.STEP_REJECTED | Status.COMMAND_LIMITED)
+STILL, STILL_TIME = 1e-5, 0.01
+"""A body sleeps when for so long [s] no node was faster than this part of the tetrahedra's size a second."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -50,6 +54,15 @@ class StepResult:
     max_strain_ratio: float  # largest strain/limit, 1: exactly at the limit; 0 without limits
     contacts: int  # nodes that carry a contact force
     max_penetration: float  # deepest surface node [m], 0 when none
+    asleep: bool = False  # nothing moved and nothing changed: the step was not computed
+
+    def later(self, time: float) -> StepResult:
+        """The same of a body asleep, at another time."""
+        return StepResult(
+            time, self.contact_wrench.copy(), self.device_wrench.copy(), self.pose, 0, self.residual, self.status,
+            self.limited_tets, self.limit_rows, self.locked_tets, self.max_strain_ratio, self.contacts,
+            self.max_penetration, True,
+        )  # fmt: skip
 
 
 class Simulator:
@@ -72,8 +85,10 @@ class Simulator:
         self._rest_driven = self.mesh.points[self._model.driven]
         self._turned_by, self._turned_driven = Pose().orientation, self._rest_driven
         self._driven = scene.driven is not None
-        self._command = self.pose = scene.initial_pose
-        self._steps = 0
+        self._command = self._given = self.pose = scene.initial_pose
+        self._still = STILL * self._model.length
+        self._asleep: StepResult | None = None
+        self._still_since = self._steps = 0
         self._timed = timed
         if compiled_before():
             tell("loading compiled kernels")
@@ -88,8 +103,13 @@ class Simulator:
 
         Raises SceneError when the command is not finite or its quaternion is zero; the state is then unchanged.
         """
+        if self._asleep is not None:
+            if command is None or command == self._given:
+                self._steps += 1
+                return self._asleep.later(self._steps * self.scene.dt)
+            self._asleep = None
         if command is not None:
-            self._command = _checked(command)
+            self._command, self._given = _checked(command), command
         scene, state = self.scene, self._state
         start, limited = self.pose, False
         end = start
@@ -115,7 +135,7 @@ class Simulator:
         if not self._driven:
             self.pose = self._best_fit()
             wrench[3:] += np.cross(state.origin - np.array(self.pose.position), wrench[:3])
-        return StepResult(
+        out = StepResult(
             time=self.time,
             contact_wrench=wrench,
             device_wrench=device_wrench(scene.coupling, wrench),
@@ -130,6 +150,12 @@ class Simulator:
             contacts=int(result[stepping.CONTACTS]),
             max_penetration=result[stepping.PENETRATION],
         )
+        if result[stepping.SPEED] > self._still or status & _UNSETTLED:
+            self._still_since = self._steps
+        elif scene.solver.sleep and (self._steps - self._still_since) * scene.dt >= STILL_TIME:
+            self._asleep = out
+            state.v[:] = 0.0
+        return out
 
     def reset(self, pose: Pose | None = None) -> None:
         """Back to rest at `pose` (default: the last command), at time 0."""
@@ -137,9 +163,10 @@ class Simulator:
             self._command = _checked(pose)
         self.pose = self._command
         self._steps = 0
-        self._state.laps[:] = 0.0
         positions = place(self.mesh.points, self.pose)
         self.set_state(positions, np.zeros_like(positions))
+        self._state.laps[:] = 0.0
+        self._state.work[:] = 0
 
     def set_state(self, positions: Floats, velocities: Floats) -> None:
         """Put the nodes at `positions` [m] with `velocities` [m/s], both (n, 3), world; row forces are forgotten.
@@ -155,6 +182,8 @@ class Simulator:
         for report in (state.contact_force, state.wrench, state.warm_limit, state.limit_force, state.result):
             report[:] = 0.0
         state.active_rows[:] = 0
+        state.clearance[0] = -1.0
+        self._wake()
         state.age[0] = state.held_tets[0] = 0
         refresh(self._ready)
 
@@ -169,6 +198,8 @@ class Simulator:
                 raise SceneError(key, value, f"values that may change while running: {', '.join(sorted(live))}")
         self.scene = self.scene.with_values(values)
         self._model = with_live_values(self._model, self.scene)
+        self._state.clearance[0] = -1.0
+        self._wake()
         self._ready = ready(self._model, self._state)
 
     @property
@@ -192,6 +223,11 @@ class Simulator:
         return _read_only(self._state.v[:, :3])
 
     @property
+    def work(self) -> dict[str, int]:
+        """What the steps since the last reset did, counted: linear steps, factorisations, nodes looked at, …"""
+        return dict(zip(WORK, self._state.work.tolist(), strict=True))
+
+    @property
     def node_mass(self) -> Floats:
         """Lumped mass of each node (n,) [kg], read-only."""
         return _read_only(self._model.mass)
@@ -206,6 +242,10 @@ class Simulator:
         """strain/limit of each tetrahedron (T,), 1: exactly at its limit, 0 without limits; read-only."""
         measure_strains(self._ready)
         return _read_only(self._state.strain_ratio)
+
+    def _wake(self) -> None:
+        """Compute the next step, whatever the command."""
+        self._asleep, self._still_since = None, self._steps
 
     def _targets(self) -> Floats:
         """Where the driven nodes are to be, (nd, 3) [m], at self.pose; the turned rest nodes are kept for the next."""

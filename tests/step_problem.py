@@ -20,7 +20,7 @@ from finger_sim.physics.tensor_limit import NEAR
 
 clarabel = pytest.importorskip("clarabel")
 
-PRECISE = {"tolerance": 1e-11, "max_iterations": 200_000}
+PRECISE = {"tolerance": 1e-11, "max_iterations": 200_000, "settle": False}
 
 LIMITS: dict[str, dict[str, Any]] = {
     "hyperbolic": {"projection": "hyperbolic", "stretch": [1.05, 1.25, 1.02], "compress": [0.95, 0.75, 0.98]},

@@ -39,6 +39,8 @@ FULL: dict[str, Any] = {
         "tolerance": 1e-4,
         "max_iterations": 50,
         "relinearizations": 1,
+        "settle": False,
+        "sleep": False,
         "level": "standard",
         "deadline": 5e-4,
     },

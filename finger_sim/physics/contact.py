@@ -10,9 +10,13 @@ The force of the plane on the node is n λ_n + t₁ λ_t1 + t₂ λ_t2 [N], worl
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
+from ..arrays import Floats
 from .compile import stage
+from .lanes import load4, sum3
+from .work import NODES_SEEN
 
 if TYPE_CHECKING:
     from .model import Model, State
@@ -35,6 +39,9 @@ def contact_rows(model: Model, state: State, h: float) -> int:
     compliances, scale, lam = state.compliance, state.scale, state.lam
     moving = state.moving
     nf, rows = model.free.shape[0], 0
+    if state.clearance[0] > margin + h * fastest(moving):
+        return 0
+    state.work[NODES_SEEN] += nodes.shape[0]
     for c in range(nodes.shape[0]):
         node = nodes[c]
         x, v, w, warm = positions[node], velocities[node], moving[node], forces[node]
@@ -90,11 +97,28 @@ def store_contact(model: Model, state: State, contact_rows: int) -> int:
 
 @stage
 def deepest(model: Model, state: State) -> float:
-    """Largest penetration of any surface node, driven ones too, at the state's positions [m], 0 when none."""
+    """Largest penetration of any surface node, driven ones too, at the state's positions [m], 0 when none.
+
+    As long as no node can have come near, none is looked at.
+    """
+    if state.clearance[0] > 0.0:
+        return 0.0
+    state.work[NODES_SEEN] += model.surface_nodes.shape[0]
     frame, point, nodes, positions = model.plane_frame, model.plane_point, model.surface_nodes, state.x
-    deepest = 0.0
+    least = math.inf
     for c in range(nodes.shape[0]):
         x = positions[nodes[c]]
         gap = frame[0, 0] * (x[0] - point[0]) + frame[0, 1] * (x[1] - point[1]) + frame[0, 2] * (x[2] - point[2])
-        deepest = max(deepest, -gap)
-    return deepest
+        least = min(least, gap)
+    state.clearance[0] = least
+    return max(0.0, -least)
+
+
+@stage
+def fastest(v: Floats) -> float:
+    """Largest of these velocities [m/s]. v (n, 4)."""
+    most = 0.0
+    for n in range(v.shape[0]):
+        w = load4(v, n, 0)
+        most = max(most, sum3(w * w))
+    return math.sqrt(most)

@@ -26,6 +26,7 @@ from .kinematics import edges_times
 from .lanes import add3, bits, gather3, load4, load8, scatter3, splat4, splat8, store4
 from .polar import load_matrix, transposed_times
 from .vectors import add, clear, copy, subtract_product
+from .work import MATRICES
 
 if TYPE_CHECKING:
     from .model import Model, State
@@ -40,7 +41,7 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
     K taken there, b = M v₀ + h (M g + f(x)) + h² K v*.
     """
     rhs, free, masses, gravity = state.rhs, model.free, model.mass, model.gravity
-    if model.relinearizations > 0 and not again:
+    if state.v_start.shape[0] > 0 and not again:
         copy(state.v_start, state.v)
     v = state.v_start if again else state.v
     rhs[-1] = 0.0
@@ -53,6 +54,7 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
     stresses(model, state, h, beta if again else h + beta)
     if anew:
         matrix(model, state, h)
+        state.work[MATRICES] += 1
     if again:
         w, product, part = state.slot_velocity, state.slot_product, h / (h + beta)
         slot_velocities(model, state)

@@ -11,6 +11,7 @@ from ..arrays import Floats, Ints
 from .compile import formula, kernel
 from .lanes import bits, gather3, load8, store8
 from .polar import Matrix, Vector, polar, store_matrix
+from .work import DECOMPOSITIONS
 
 if TYPE_CHECKING:
     from .model import Model, State
@@ -180,6 +181,7 @@ def kinematics(model: Model, state: State) -> None:
         store8(strains, b, 5, 0.5 * (u01 + u10))
     state.inverted[0] = inverted
     if state.F.shape[0] > 0:
+        state.work[DECOMPOSITIONS] += model.tets.shape[0]
         deformation_gradient(model.tets, model.gradients, state.x, state.F)
         signed_svds(state.F, state.U, state.s, state.V, state.columns, state.turn)
 

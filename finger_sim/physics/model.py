@@ -16,6 +16,7 @@ from .lanes import LANES, aligned, padded
 from .linear_solver import Pattern, analyse, block_of
 from .methods import LEVELS, METHODS, PGS
 from .tensor_limit import limit_factors
+from .work import WORK
 
 MAX_ROWS = 2048  # limit and contact rows of one step of `pgs`; more are left out, with a status bit
 PAIRS = [(a, b) for a in range(4) for b in range(a + 1)]
@@ -81,6 +82,7 @@ class Model(NamedTuple):
     tolerance: float  # see Solver.tolerance
     max_iterations: int
     relinearizations: int
+    settles: bool  # a step whose driven nodes stay is linearised twice
     hold: int  # steps that share A
     deadline: float  # [s] after which a step begins no further iteration; 0: none
 
@@ -166,7 +168,9 @@ class State(NamedTuple):
     turn: Floats  # (3, 3, BATCH) scratch
     P: Floats  # (3, 3) scratch
     D: Floats  # (3, 3) scratch
-    result: Floats  # (9,) what a step reports: see step.py
+    clearance: Floats  # (1,) [m] no surface node is nearer to the plane; below 0: not known
+    work: Ints  # (8,) what was done so far: see work.py
+    result: Floats  # (10,) what a step reports: see step.py
 
 
 def build_model(scene: Scene, mesh: TetMesh) -> Model:
@@ -264,6 +268,7 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
         tolerance=solver.tolerance,
         max_iterations=solver.max_iterations,
         relinearizations=solver.relinearizations,
+        settles=solver.settle and solver.level == "standard",
         hold=LEVELS[solver.level],
         deadline=solver.deadline or 0.0,
     )
@@ -356,7 +361,7 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
     newton = 0 if pgs else nf + 1
     swept = rows if pgs else 0
     near = padded(2 * count) if tensor else 0
-    again = n if model.relinearizations else 0
+    again = n if model.relinearizations or (model.settles and limited) else 0
     x = aligned(n, 4)
     x[:, :3] = positions
     return State(
@@ -435,5 +440,7 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
         turn=np.zeros((3, 3, BATCH)),
         P=np.zeros((3, 3)),
         D=np.zeros((3, 3)),
-        result=np.zeros(9),
+        clearance=np.full(1, -1.0),
+        work=np.zeros(len(WORK), np.int64),
+        result=np.zeros(10),
     )

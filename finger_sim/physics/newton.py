@@ -29,6 +29,7 @@ from .elasticity import slot_velocities
 from .lanes import Lanes, lane, load4, splat4, store4, sum3
 from .linear_solver import factor, solve
 from .vectors import add, clear, copy, copy_first, inner, subtract_product
+from .work import FACTORISATIONS
 
 if TYPE_CHECKING:
     from .model import Model, State
@@ -45,7 +46,9 @@ _STICKING, _SLIPPING = 1 << 20, 1 << 40  # places in the number that counts what
 
 
 @stage
-def newton(model: Model, state: State, h: float, contacts: int, rows: int, anew: bool) -> tuple[int, float, bool]:
+def newton(
+    model: Model, state: State, h: float, contacts: int, rows: int, anew: bool, tolerance: float
+) -> tuple[int, float, bool]:
     """Velocities of the free nodes into state.v, row forces into state.lam[:rows]. (iterations, residual, definite).
 
     anew: A was formed anew. Where it was not, and as many rows hold as when it was factored, its factors serve again.
@@ -78,7 +81,7 @@ def newton(model: Model, state: State, h: float, contacts: int, rows: int, anew:
     least, least_missing, iterations, stalled = residual, missing, 0, 0
     clear(best_change)
     copy_first(best, lam, rows)
-    while residual > model.tolerance and iterations < model.max_iterations:
+    while residual > tolerance and iterations < model.max_iterations:
         if model.deadline > 0.0 and iterations > 0 and seconds(state.time) - began > model.deadline:
             break
         if changed or stale:
@@ -94,7 +97,7 @@ def newton(model: Model, state: State, h: float, contacts: int, rows: int, anew:
             add(tried, change, direction, part)
             residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, tried, False)
             ahead = inner(direction, state.next_residual)
-            if (ahead >= -_SLACK * ascent and (ahead <= _SLACK * ascent or trial == 0)) or residual <= model.tolerance:
+            if (ahead >= -_SLACK * ascent and (ahead <= _SLACK * ascent or trial == 0)) or residual <= tolerance:
                 break
             if ahead > 0.0:
                 low, low_ahead, high_ahead = part, ahead, 0.5 * high_ahead if trial > 1 else high_ahead
@@ -254,6 +257,7 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int, hol
             store4(L, block_place[p], j, load4(A, nf + p, j))
     copy_first(state.factored, stiffness, rows)
     state.factored_holds[0] = holds
+    state.work[FACTORISATIONS] += 1
     for c in range(contacts // 3):
         row = 3 * c
         if stiffness[row] > 0.0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from typing import TYPE_CHECKING
 
 from ..arrays import Floats
@@ -12,7 +13,7 @@ from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
 from .elasticity import assemble
 from .kinematics import kinematics
-from .lanes import load4, splat8, store4, store8
+from .lanes import load4, splat8, store4, store8, sum3
 from .linear_solver import solve
 from .methods import NEWTON, PGS
 from .newton import newton, refactor
@@ -21,6 +22,8 @@ from .rows import finish_rows
 from .strain_limits import NONE, TENSOR, limit_rows, strain_ratio
 from .tensor_limit import DIRECTIONS, find_near, greatest_strain, tensor_rows
 from .vectors import add, copy
+from .work import CONTACTS as CONTACT_ROWS
+from .work import LIMITS, LINEAR
 
 if TYPE_CHECKING:
     from .model import Model, State
@@ -43,12 +46,15 @@ class Status(enum.IntFlag):
 
 
 # Where `step` writes what it reports, in State.result.
-STATUS, ITERATIONS, RESIDUAL, LIMIT_ROWS, LIMITED_TETS, STRAIN_RATIO, CONTACTS, PENETRATION, LOCKED_TETS = range(9)
+STATUS, ITERATIONS, RESIDUAL, LIMIT_ROWS, LIMITED_TETS, STRAIN_RATIO, CONTACTS, PENETRATION, LOCKED_TETS, SPEED = range(
+    10
+)
 
 _FARTHEST = 1e9  # tetrahedron sizes that a node may go in one step
 _REJECTED = int(Status.NONFINITE | Status.STEP_REJECTED)
 _ROW_LIMIT, _ITERATION_LIMIT = int(Status.ROW_LIMIT), int(Status.ITERATION_LIMIT)
 _LOCKED, _INVERTED, _LIMIT_EXCEEDED = int(Status.LOCKED), int(Status.INVERTED), int(Status.LIMIT_EXCEEDED)
+_SETTLED = 1e-3  # part of the tolerance that a step which does not move the driven nodes aims at (`newton`)
 _EXCEEDED = 1.5  # strain/limit from which on LIMIT_EXCEEDED is set
 
 
@@ -63,35 +69,43 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
     """
     state.result[:] = 0.0
     lap(state.laps, state.time, OUTPUT)
-    drive(model, state, targets, h)
-    contacts, rows, definite = linear_step(model, state, h, 0)
-    for again in range(1, model.relinearizations + 1):
+    moved = drive(model, state, targets, h)
+    wanted, tolerance = model.relinearizations, model.tolerance
+    if model.settles and not moved and model.method == NEWTON:
+        tolerance *= _SETTLED
+        if state.held_tets[0] > 0:
+            wanted = max(wanted, 1)
+    contacts, rows, definite = linear_step(model, state, h, 0, tolerance)
+    for again in range(1, wanted + 1):
         if definite and bounded(state.v, _FARTHEST * model.length / h):
             relinearise(model, state, targets, h, again)
-            contacts, rows, definite = linear_step(model, state, h, again)
-    if model.relinearizations > 0:
+            contacts, rows, definite = linear_step(model, state, h, again, tolerance)
+    if wanted > 0:
         copy(state.x, state.x_start)
     if not (definite and bounded(state.v, _FARTHEST * model.length / h)):
         state.result[STATUS] = _REJECTED
         return
-    integrate(model, state, targets, h)  # x += h v
+    fastest = integrate(model, state, targets, h)  # x += h v
     kinematics(model, state)
     lap(state.laps, state.time, KINEMATICS)
     state.age[0] = (state.age[0] + 1) % model.hold
     if model.projection == TENSOR:
         find_near(model, state)
     lap(state.laps, state.time, ROWS)
+    state.result[SPEED] = fastest
     observe(model, state, contacts, rows)
     lap(state.laps, state.time, OUTPUT)
 
 
 @stage
-def linear_step(model: Model, state: State, h: float, again: int) -> tuple[int, int, bool]:
+def linear_step(model: Model, state: State, h: float, again: int, tolerance: float) -> tuple[int, int, bool]:
     """Velocities of a step that is linearised at state.x: (contact rows, all rows, whether A is positive definite).
 
     again: 0 where x is the step's start, else x and state.v_base are what linearisation number `again` gave before.
     A is formed anew where state.age is 0: always, but at the level `lagged`.
     """
+    work = state.work
+    work[LINEAR] += 1
     anew = state.age[0] == 0
     assemble(model, state, h, anew, again > 0)  # A and b: backward Euler
     lap(state.laps, state.time, ASSEMBLY)
@@ -111,10 +125,12 @@ def linear_step(model: Model, state: State, h: float, again: int) -> tuple[int, 
         if rows < 0:
             rows, status = state.lam.shape[0], _ROW_LIMIT
         finish_rows(model, state, h, contacts, rows)
+    work[CONTACT_ROWS] += contacts
+    work[LIMITS] += rows - contacts
     lap(state.laps, state.time, ROWS)
     iterations, residual, definite = 0, 0.0, True
     if model.method == NEWTON:
-        iterations, residual, definite = newton(model, state, h, contacts, rows, anew)
+        iterations, residual, definite = newton(model, state, h, contacts, rows, anew, tolerance)
     elif rows > 0:
         touched = touched_nodes(model, state, rows)
         inverse_between(model, state, touched)
@@ -152,13 +168,16 @@ def since_linearised(state: State, again: int) -> None:
 
 
 @stage
-def drive(model: Model, state: State, targets: Floats, h: float) -> None:
-    """Velocities that take the driven nodes to their targets in this step."""
+def drive(model: Model, state: State, targets: Floats, h: float) -> bool:
+    """Velocities that take the driven nodes to their targets; whether any has to move (or none is driven)."""
+    moved: bool = model.driven.shape[0] == 0
     driven, x, v, driven_velocity = model.driven, state.x, state.v, state.driven_velocity
     for d in range(driven.shape[0]):
         n = driven[d]
         for i in range(3):
             v[n, i] = driven_velocity[n, i] = (targets[d, i] - x[n, i]) / h
+            moved |= v[n, i] != 0.0
+    return moved
 
 
 @stage
@@ -184,14 +203,20 @@ def bounded(v: Floats, bound: float) -> bool:
 
 
 @stage
-def integrate(model: Model, state: State, targets: Floats, h: float) -> None:
-    """Positions at the end of the step; driven nodes are at their targets exactly."""
+def integrate(model: Model, state: State, targets: Floats, h: float) -> float:
+    """Positions at the end of the step; driven nodes are at their targets exactly. Gives the largest speed."""
     x, v, driven = state.x, state.v, model.driven
+    fastest = 0.0
     for n in range(x.shape[0]):
-        store4(x, n, 0, load4(x, n, 0) + load4(v, n, 0) * h)
+        w = load4(v, n, 0)
+        store4(x, n, 0, load4(x, n, 0) + w * h)
+        fastest = max(fastest, sum3(w * w))
     for d in range(driven.shape[0]):
         for i in range(3):
             x[driven[d], i] = targets[d, i]
+    fastest = math.sqrt(fastest)
+    state.clearance[0] -= h * fastest
+    return fastest
 
 
 @stage

@@ -30,6 +30,7 @@ from ..scene import Limits
 from .compile import kernel, stage
 from .kinematics import signed_svd
 from .tensor_limit import evaluate_tensor, limit_factors
+from .work import LIMITS_SEEN
 
 if TYPE_CHECKING:
     from .model import Model, State
@@ -220,6 +221,7 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
     stretch_room, compress_room = model.stretch_room, model.compress_room
     turning = projection in (ORTHOGONAL, LINEAR)  # the room itself changes, and may vanish: both sides
     axes = rows_of(projection)
+    state.work[LIMITS_SEEN] += order.shape[0]
     for o in range(order.shape[0]):
         t = order[o]
         if not moves[t]:

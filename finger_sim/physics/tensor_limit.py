@@ -44,6 +44,7 @@ from .lanes import (
     where,
 )  # fmt: skip
 from .polar import Matrix, Vector, load_matrix, polar
+from .work import LIMITS_SEEN
 
 if TYPE_CHECKING:
     from .model import Model, State
@@ -192,6 +193,11 @@ def find_near(model: Model, state: State) -> None:
     scratch = state.stage
     gathered = scratch.reshape((1, -1))
     for side in range(2):
+        if factors[side, 6] + factors[side, 7] + factors[side, 8] == 0.0:  # no axis is limited on this side
+            for b in range(strains.shape[0]):
+                store8(bounds, b, side, splat8(0.0))
+            continue
+        state.work[LIMITS_SEEN] += tets
         for b in range(strains.shape[0]):
             bound = upper_bound(scaled(load_symmetric(strains, b), factors, side))
             before = load8(bounds, b, side)

@@ -26,7 +26,7 @@ BASE: dict[str, Any] = {
     "driven": "bone",
     "material": {"density": 1000.0, "young": 2.0e6, "poisson": 0.4, "damping": {"mass": 0.0, "stiffness": 0.002}},
     "plane": {"friction": 0.5, "stiffness": 10.0},
-    "solver": {"method": "newton", "tolerance": 1e-3, "max_iterations": 30},
+    "solver": {"method": "newton", "tolerance": 1e-3, "max_iterations": 30, "settle": False, "sleep": False},
     "dt": 1e-3,
 }
 """What the scenes share."""
