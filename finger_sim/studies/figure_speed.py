@@ -45,6 +45,8 @@ CONTENDERS = {
 }
 SIDE_PRESS = (Stroke(0.1, (0.0, 0.0, 0.0)), Stroke(1.2, (0.0, 0.0, -7e-3)), Stroke(0.6, (0.0, 0.0, 0.0)))
 """A finger held at its cut end is laid on its side and lowered; past 5.5 mm its rigid limits cannot all hold."""
+AWAKE: dict[str, Any] = {"solver.sleep": False}
+"""Steps that are not computed are none."""
 REPEATS, PIECE = 3, 100
 """Times that each motion runs, and steps of a piece."""
 FEWEST = (0, 1, 5, 10, 20, 40, 80, 160)
@@ -103,7 +105,7 @@ class Result:
 
 def measure(progress: Meter, *, repeats: int = REPEATS, steps: int | None = None) -> Result:
     """Time every contender through its motion (steps: no more than so many of them)."""
-    scenes = {name: Scene.load(who.scene).with_values(who.values) for name, who in CONTENDERS.items()}
+    scenes = {name: Scene.load(who.scene).with_values({**AWAKE, **who.values}) for name, who in CONTENDERS.items()}
     motions = {name: poses(scenes[name], who.bag)[:steps] for name, who in CONTENDERS.items()}
     simulators = {name: Simulator(scene) for name, scene in scenes.items()}
     dt = {scene.dt for scene in scenes.values()}

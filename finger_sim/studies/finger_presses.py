@@ -19,8 +19,9 @@ from ..mesh import TetMesh
 from ..physics.step import Status
 from ..rotations import Quaternion, matrix, normalised
 from ..scene import Pose, Scene
-from ..simulator import Simulator
+from ..simulator import Simulator, StepResult
 from ..trajectories import FLAT, SIDE
+from .strains import biot_strain
 
 GAP, REST = 0.5e-3, 0.3
 """A body hangs so far above the table [m], for so long [s], before it is lowered."""
@@ -115,7 +116,8 @@ class Press:
     strain_ratio: Floats  # (k,) largest strain/limit
     penetration: float  # deepest free node of all times [m]
     status: Status  # all that came up
-    points: Floats  # (n, 3) nodes at the pictured depth, world [m]
+    result: StepResult  # of the step at the pictured depth
+    points: Floats  # (n, 3) nodes there, world [m]
     tet_strain: Floats  # (T,) strain/limit there
     reached: Ints  # (3,) tetrahedra at their limit there, by the axis: `reached_axes`
 
@@ -157,7 +159,7 @@ def press(scene: Scene, way: Way, enough: float, tell: Callable[[float], None] =
     touch = height - float(simulator.positions[free, 2].min())
     rows: list[tuple[float, float, int, float]] = []
     penetration, status = 0.0, Status.OK
-    shown: tuple[Floats, Floats] | None = None
+    shown: tuple[StepResult, Floats, Floats] | None = None
     down = way.speed * scene.dt
     steps, depth, force = 0, touch - height, 0.0
     while depth < way.deepest and (depth < way.shown or force < enough):
@@ -172,11 +174,11 @@ def press(scene: Scene, way: Way, enough: float, tell: Callable[[float], None] =
         depth = touch - height + (steps - 0.5 * (WINDOW - 1)) * down
         rows.append((depth, force, result.limited_tets, result.max_strain_ratio))
         if shown is None and depth >= way.shown:
-            shown = simulator.positions.copy(), simulator.strain_ratio.copy()
+            shown = result, simulator.positions.copy(), simulator.strain_ratio.copy()
         tell(min(1.0, max(0.0, depth / way.deepest)))
     assert shown is not None
     depths, forces, tets, ratio = (np.array(column) for column in zip(*rows, strict=True))
-    reached = reached_axes(simulator.mesh, *shown, scene)
+    reached = reached_axes(simulator.mesh, *shown[1:], scene)
     return Press(way, depths, forces, tets, ratio, penetration, status, *shown, reached)
 
 
@@ -199,10 +201,7 @@ def reached_axes(mesh: TetMesh, points: Floats, tet_strain: Floats, scene: Scene
     """
     if scene.limits is None:
         return np.zeros(3, np.int64)
-    edges, rest = (x[mesh.tets[:, :3]] - x[mesh.tets[:, 3:]] for x in (points, mesh.points))
-    F = np.linalg.solve(rest, edges).transpose(0, 2, 1)
-    squared, V = np.linalg.eigh(F.transpose(0, 2, 1) @ F)
-    strain = ((mesh.axes @ V) ** 2 @ np.sqrt(squared)[:, :, None])[:, :, 0] - 1.0
+    strain = np.diagonal(biot_strain(mesh, points), axis1=1, axis2=2)
     room = np.where(strain > 0.0, scene.limits.stretch_room, scene.limits.compress_room)
     fullest = np.argmax(np.abs(strain) / room, axis=1)
     return np.bincount(fullest[tet_strain >= REACHED], minlength=3)
