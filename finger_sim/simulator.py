@@ -33,7 +33,7 @@ _POSE = specs(Pose)
 _FARTHEST = _POSE["position"].high
 _REJECTED = int(Status.STEP_REJECTED)
 _UNSETTLED = int(Status.STEP_REJECTED | Status.COMMAND_LIMITED)
-STILL, STILL_TIME = 1e-5, 0.01
+STILL, STILL_TIME = 1e-7, 0.01
 """A body sleeps when for so long [s] no node was faster than this part of the tetrahedra's size a second."""
 
 

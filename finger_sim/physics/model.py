@@ -168,6 +168,7 @@ class State(NamedTuple):
     turn: Floats  # (3, 3, BATCH) scratch
     P: Floats  # (3, 3) scratch
     D: Floats  # (3, 3) scratch
+    motion: Floats  # (1,) rms speed of the nodes at the end of the last step [m/s]
     clearance: Floats  # (1,) [m] no surface node is nearer to the plane; below 0: not known
     work: Ints  # (8,) what was done so far: see work.py
     result: Floats  # (10,) what a step reports: see step.py
@@ -440,6 +441,7 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
         turn=np.zeros((3, 3, BATCH)),
         P=np.zeros((3, 3)),
         D=np.zeros((3, 3)),
+        motion=np.zeros(1),
         clearance=np.full(1, -1.0),
         work=np.zeros(len(WORK), np.int64),
         result=np.zeros(10),

@@ -54,7 +54,8 @@ _FARTHEST = 1e9  # tetrahedron sizes that a node may go in one step
 _REJECTED = int(Status.NONFINITE | Status.STEP_REJECTED)
 _ROW_LIMIT, _ITERATION_LIMIT = int(Status.ROW_LIMIT), int(Status.ITERATION_LIMIT)
 _LOCKED, _INVERTED, _LIMIT_EXCEEDED = int(Status.LOCKED), int(Status.INVERTED), int(Status.LIMIT_EXCEEDED)
-_SETTLED = 1e-3  # part of the tolerance that a step which does not move the driven nodes aims at (`newton`)
+_SLOW = 3e-3  # part of the tetrahedra's size that nodes of a body that settles move in a step, rms
+_SETTLED = 1e-5  # part of the tolerance that a step which does not move the driven nodes aims at (`newton`)
 _EXCEEDED = 1.5  # strain/limit from which on LIMIT_EXCEEDED is set
 
 
@@ -73,7 +74,7 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
     wanted, tolerance = model.relinearizations, model.tolerance
     if model.settles and not moved and model.method == NEWTON:
         tolerance *= _SETTLED
-        if state.held_tets[0] > 0:
+        if state.held_tets[0] > 0 and state.motion[0] * h < _SLOW * model.length:
             wanted = max(wanted, 1)
     contacts, rows, definite = linear_step(model, state, h, 0, tolerance)
     for again in range(1, wanted + 1):
@@ -206,16 +207,19 @@ def bounded(v: Floats, bound: float) -> bool:
 def integrate(model: Model, state: State, targets: Floats, h: float) -> float:
     """Positions at the end of the step; driven nodes are at their targets exactly. Gives the largest speed."""
     x, v, driven = state.x, state.v, model.driven
-    fastest = 0.0
+    fastest = total = 0.0
     for n in range(x.shape[0]):
         w = load4(v, n, 0)
         store4(x, n, 0, load4(x, n, 0) + w * h)
-        fastest = max(fastest, sum3(w * w))
+        square = sum3(w * w)
+        fastest = max(fastest, square)
+        total += square
     for d in range(driven.shape[0]):
         for i in range(3):
             x[driven[d], i] = targets[d, i]
     fastest = math.sqrt(fastest)
     state.clearance[0] -= h * fastest
+    state.motion[0] = math.sqrt(total / x.shape[0])
     return fastest
 
 
