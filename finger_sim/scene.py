@@ -221,6 +221,17 @@ class Solver:
         "standard: all linearised every step; lagged: one stiffness matrix for 4 steps (newton only)",
         default="standard",
         choices=("standard", "lagged"),
+        live=True,
+    )
+    budget_ms: float | None = field(
+        "float",
+        "Time a step may take; the node gives up accuracy before it misses it (budget.py); null: none",
+        default=None,
+        unit="ms",
+        low=1e-3,
+        high=1e4,
+        optional=True,
+        live=True,
     )
     deadline: float | None = field(
         "float",

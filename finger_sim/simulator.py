@@ -25,7 +25,7 @@ from .physics.ready import advance, measure_strains, ready, refresh
 from .physics.step import Status
 from .physics.work import WORK
 from .rotations import ZERO_NORM, matrix, normalised
-from .scene import Pose, Scene
+from .scene import Pose, Scene, Solver
 
 Progress = Callable[[str], None]
 
@@ -197,10 +197,14 @@ class Simulator:
             if key not in live:
                 raise SceneError(key, value, f"values that may change while running: {', '.join(sorted(live))}")
         self.scene = self.scene.with_values(values)
-        self._model = with_live_values(self._model, self.scene)
-        self._state.clearance[0] = -1.0
-        self._wake()
-        self._ready = ready(self._model, self._state)
+        self._use(self.scene)
+
+    def solve_with(self, solver: Solver) -> None:
+        """Solve from the next step on with these settings (those that may change while running), not the scene's.
+
+        `apply` takes the scene's again.
+        """
+        self._use(dataclasses.replace(self.scene, solver=solver))
 
     @property
     def time(self) -> float:
@@ -242,6 +246,14 @@ class Simulator:
         """strain/limit of each tetrahedron (T,), 1: exactly at its limit, 0 without limits; read-only."""
         measure_strains(self._ready)
         return _read_only(self._state.strain_ratio)
+
+    def _use(self, scene: Scene) -> None:
+        """The live values of a scene."""
+        self._model = with_live_values(self._model, scene)
+        self._state.clearance[0] = -1.0
+        self._state.age[0] = 0
+        self._wake()
+        self._ready = ready(self._model, self._state)
 
     def _wake(self) -> None:
         """Compute the next step, whatever the command."""

@@ -42,6 +42,7 @@ FULL: dict[str, Any] = {
         "settle": False,
         "sleep": False,
         "level": "standard",
+        "budget_ms": 0.8,
         "deadline": 5e-4,
     },
     "coupling": {

@@ -170,7 +170,7 @@ class State(NamedTuple):
     D: Floats  # (3, 3) scratch
     motion: Floats  # (1,) rms speed of the nodes at the end of the last step [m/s]
     clearance: Floats  # (1,) [m] no surface node is nearer to the plane; below 0: not known
-    work: Ints  # (8,) what was done so far: see work.py
+    work: Ints  # (9,) what was done so far: see work.py
     result: Floats  # (10,) what a step reports: see step.py
 
 
@@ -279,7 +279,11 @@ def with_live_values(model: Model, scene: Scene) -> Model:
     """The model with those fields that may change while running as the scene now has them."""
     solver = scene.solver
     model = model._replace(
-        tolerance=solver.tolerance, max_iterations=solver.max_iterations, deadline=solver.deadline or 0.0
+        tolerance=solver.tolerance,
+        max_iterations=solver.max_iterations,
+        hold=LEVELS[solver.level],
+        settles=solver.settle and solver.level == "standard",
+        deadline=solver.deadline or 0.0,
     )
     if scene.plane is None:
         return model
@@ -362,7 +366,7 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
     newton = 0 if pgs else nf + 1
     swept = rows if pgs else 0
     near = padded(2 * count) if tensor else 0
-    again = n if model.relinearizations or (model.settles and limited) else 0
+    again = n if model.relinearizations or (limited and not pgs) else 0
     x = aligned(n, 4)
     x[:, :3] = positions
     return State(

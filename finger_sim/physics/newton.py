@@ -29,7 +29,7 @@ from .elasticity import slot_velocities
 from .lanes import Lanes, lane, load4, splat4, store4, sum3
 from .linear_solver import factor, solve
 from .vectors import add, clear, copy, copy_first, inner, subtract_product
-from .work import FACTORISATIONS
+from .work import CORRECTIONS, FACTORISATIONS
 
 if TYPE_CHECKING:
     from .model import Model, State
@@ -143,6 +143,7 @@ def newton_direction(model: Model, state: State, h: float, contacts: int) -> flo
                 store4(other, slot, 0, load4(other, slot, 0) - load4(slip, c, 0) * push)
         if not slips:
             break
+        state.work[CORRECTIONS] += 1
         solve(pattern, lower, inverse, other)
         along = inner(other, r)
         if not along > 0.0:

@@ -11,6 +11,7 @@ WORK = (
     "limit rows",
     "nodes looked at for contact",
     "contact rows",
+    "friction corrections",
 )
 """Names of the counters in State.work."""
-LINEAR, MATRICES, FACTORISATIONS, DECOMPOSITIONS, LIMITS_SEEN, LIMITS, NODES_SEEN, CONTACTS = range(8)
+LINEAR, MATRICES, FACTORISATIONS, DECOMPOSITIONS, LIMITS_SEEN, LIMITS, NODES_SEEN, CONTACTS, CORRECTIONS = range(9)

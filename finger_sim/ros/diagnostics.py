@@ -8,6 +8,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from ..budget import LADDER
 from .loop import Progress, RateLoop
 from .outputs import Outputs
 from .stepper import Stepper, Window
@@ -89,6 +90,8 @@ class Reporter:
                 "limited tets": str(window.limited_tets),
                 "locked tets": str(window.locked_tets),
                 "contacts": str(window.contacts),
+                "steps asleep": str(window.asleep),
+                "mesh messages": str(self._outputs.mesh_messages),
                 "max strain/limit": f"{window.max_strain_ratio:.4f}",
                 "penetration [mm]": f"{window.max_penetration * 1e3:.5f}",
                 "status": (window.status.name if window.status else None) or "OK",
@@ -98,6 +101,7 @@ class Reporter:
                 "stable stiffness at that delay [N/m]": f"{damping / (period / 2 + delay_p99):.0f}",
             }
         )
+        self._rung(values, problems)
         quiet = now - progress.last
         if quiet > max(STALL, 5 * period):
             problems.append((2, f"the loop is stalled: no step for {quiet:.1f} s"))
@@ -107,6 +111,17 @@ class Reporter:
             problems.append((1, f"{progress.overruns - before.overruns} steps skipped"))
         if window.status:
             problems.append((1, f"{window.status.name} in {window.troubled} of {window.steps} steps"))
+
+    def _rung(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
+        budget = self._stepper.budget
+        if budget is None:
+            return
+        rung = LADDER[budget.rung]
+        values["budget [ms]"] = f"{1e3 * budget.seconds:g}"
+        values["accuracy"] = f"{budget.rung} of {len(LADDER) - 1}: {rung.name}"
+        values["accuracy changes"] = str(budget.moves)
+        if budget.rung > 0:
+            problems.append((1, f"less accurate to hold {1e3 * budget.seconds:g} ms: {rung.name}, error {rung.error}"))
 
     def _commands(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
         command, refusals = self._stepper.newest, self._refusals

@@ -63,12 +63,14 @@ class Outputs:
 
     options  : the node's options as they are now
     recorder : gets every message that is sent; None while nothing is recorded
+    mesh_messages : point clouds made so far
     """
 
     def __init__(self, node: Any, options: NodeOptions) -> None:
         self.options = options
         self.recorder: Recorder | None = None
         self.topology = b""
+        self.mesh_messages = 0
         self._publishers = {
             name: node.create_publisher(kind, name, ros_qos(qos)) for name, (kind, qos) in _TYPES.items()
         }
@@ -124,6 +126,7 @@ class Outputs:
             self._mesh_due = _next_due(self._mesh_due, now, 1.0 / self.options.mesh_rate)
             if self._heard("mesh_points") or (self.recorder is not None and self.recorder.active):
                 self.send("mesh_points", self._mesh_points(sim, out.pose, stamp))
+                self.mesh_messages += 1
         if self.options.marker_rate > 0.0 and now >= self._marker_due:
             self._marker_due = _next_due(self._marker_due, now, 1.0 / self.options.marker_rate)
             if self._heard("mesh_marker"):

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..budget import Budget, on_rung
 from ..physics.step import Status
 from ..scene import Pose, Scene
 from ..simulator import Simulator, StepResult
@@ -36,6 +37,7 @@ class Window:
     limited_tets: int = 0
     locked_tets: int = 0
     contacts: int = 0
+    asleep: int = 0
     max_strain_ratio: float = 0.0
     max_penetration: float = 0.0
     status: Status = Status.OK
@@ -50,6 +52,7 @@ class Window:
         self.limited_tets = max(self.limited_tets, out.limited_tets)
         self.locked_tets = max(self.locked_tets, out.locked_tets)
         self.contacts = max(self.contacts, out.contacts)
+        self.asleep += out.asleep
         self.max_strain_ratio = max(self.max_strain_ratio, out.max_strain_ratio)
         self.max_penetration = max(self.max_penetration, out.max_penetration)
         if out.status:
@@ -72,6 +75,7 @@ class Stepper:
         self.window = Window()
         self.delay = Ring()
         self.stale = False
+        self.budget: Budget | None = None
         self._outputs, self._clock, self._log = outputs, clock, log
         self._followed: Command | None = None
         self._none = np.zeros(6)
@@ -79,12 +83,14 @@ class Stepper:
     def prepare(self, progress: Callable[[str], None]) -> None:
         """Loads mesh and kernels. Raises FingerSimError."""
         self.sim = Simulator(self.scene, progress=progress)
+        self._take_budget()
         self._outputs.prepare(self.sim.mesh)
 
     def tick(self) -> None:
         """One step of scene.dt. The first command ever places the finger; each later one moves it there."""
         stamp = self._clock.now().nanoseconds
         command = self.newest
+        begin = time.perf_counter()
         fresh = command is not None and self._watch(command)
         if command is None or command is self._followed:
             out = self.sim.step()
@@ -92,6 +98,8 @@ class Stepper:
             if self._followed is None:
                 self.sim.reset(command.pose)
             out = self.sim.step(command.pose)
+        if self.budget is not None and self.budget.spent(time.perf_counter() - begin):
+            self.sim.solve_with(on_rung(self.scene.solver, self.budget.rung))
         device = out.device_wrench if fresh and math.isfinite(sum(out.device_wrench.tolist())) else self._none
         self._outputs.step(self.sim, out, device, stamp)
         if command is not None and command is not self._followed:
@@ -108,6 +116,12 @@ class Stepper:
         """Changes live values of the scene. Raises SceneError."""
         self.sim.apply(changes)
         self.scene = self.sim.scene
+        self._take_budget()
+
+    def _take_budget(self) -> None:
+        """Begin at the top of the ladder with the scene's budget, if it has one."""
+        milliseconds = self.scene.solver.budget_ms
+        self.budget = Budget(1e-3 * milliseconds) if milliseconds is not None else None
 
     def _watch(self, command: Command) -> bool:
         """Whether the command is recent by the steady clock; says so when that changes."""
