@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -205,6 +206,30 @@ def test_a_live_parameter_takes_effect(client):
     client.until(lambda: force(devices[-1]) == (0.0, 0.0, 0.0), press)
     assert client.set("plane.point", [0.0, 0.0, 0.0]).successful
     assert client.set("coupling.force_limit", 10.0).successful
+
+
+def test_a_budget_is_held_by_giving_up_accuracy_and_says_so(client):
+    """A budget that no step can meet leads to the last rung; without one nothing is said of it."""
+    assert "accuracy" not in client.report()[1]
+    assert client.set("solver.budget_ms", 0.001).successful
+    status, values = client.until(lambda: held if (held := client.report())[1]["accuracy"].startswith("3 ") else None)
+    assert status.level == DiagnosticStatus.WARN
+    assert "less accurate to hold 0.001 ms: capped" in status.message
+    assert int(values["accuracy changes"]) == 3
+    assert not client.set("solver.budget_ms", -1.0).successful
+    assert client.set("solver.budget_ms", math.inf).successful
+    assert "accuracy" not in client.report()[1]
+
+
+def test_no_point_cloud_is_made_for_nobody(tmp_path):
+    """Without a subscriber or a recording none is made; with one they are."""
+    arguments = ("-p", f"scene:={write_block(tmp_path)}")
+    with NodeProcess(tmp_path / "log", *arguments) as node, Client(node.domain) as client:
+        node.wait_for("ready after")
+        assert client.report()[1]["mesh messages"] == "0"
+        client.next(client.collect(PointCloud2, "mesh_points"))
+        assert int(client.report()[1]["mesh messages"]) > 0
+        assert node.end() == 0
 
 
 def test_reset_says_the_pose(client):
