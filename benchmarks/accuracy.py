@@ -18,7 +18,7 @@ def main() -> None:
     parser.add_argument("--scene", default="finger")
     parser.add_argument("--bag", default="press_slide")
     args = parser.parse_args()
-    scene = Scene.load(args.scene)
+    scene = Scene.load(args.scene).with_values({"solver.sleep": False})
     commands = poses(scene, args.bag)
     exact, _, _ = forces(scene.with_values(CONVERGED), commands)
     peak = np.linalg.norm(exact, axis=1).max()

@@ -20,7 +20,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--dt", type=float, help="time step [s], default: the scene's")
     args = parser.parse_args()
-    scene = Scene.load(args.scene)
+    scene = Scene.load(args.scene).with_values({"solver.sleep": False})
     if args.dt:
         scene = scene.with_values({"dt": args.dt})
     commands = poses(scene, args.bag)
