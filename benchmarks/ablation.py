@@ -1,12 +1,16 @@
 """What each feature of a scene costs, and that a missing one costs nothing: step time by ablation, and work counted.
 
-All variants run in turn in one process on one processor. A step of `finger_haptic` in free air, pressed 2 mm, and slid;
-ratios are of medians to those of the whole scene, or to that of the scene without the feature.
+All variants run in turn in one process on one processor: a step of `finger_haptic` in free air, pressed 2 mm, and slid,
+ratios of medians to those of the whole scene. With --node then the node, asleep so that its messages are all it does,
+with and without a subscriber of the mesh and a recording: processor time a step.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
+import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +55,7 @@ def main() -> None:
     parser.add_argument("--scene", default="finger_haptic")
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument("--plot", type=Path, help="draw it as a PNG")
+    parser.add_argument("--node", action="store_true", help="measure the node's messages and recording too")
     args = parser.parse_args()
     whole = Scene.load(args.scene).with_values(AWAKE)
     motion = press_and_slide(touch_height(whole), whole.dt)
@@ -73,6 +78,8 @@ def main() -> None:
     for name, runner in runners.items():
         print(f"{name:>24}" + "".join(f"{runner.simulator.work[w] / len(motion.poses):>29.3f}" for w in WORK[:3]))
     asleep(whole)
+    if args.node:
+        node(args.scene, 3)
     if args.plot:
         draw(medians, args.plot)
         print(args.plot)
@@ -90,6 +97,58 @@ def asleep(whole: Scene) -> None:
         records = passes.interleaved(runners, 3, lambda done, total: None)
         awake, sleeping = (1e6 * float(np.median(record.seconds[:, -1000:])) for record in records.values())
         print(f"at rest {phase}: {awake:.1f} µs awake, {sleeping:.2f} µs asleep: {100 * sleeping / awake:.1f} %")
+
+
+def node(scene: str, repeats: int) -> None:
+    """Processor time a step of the node, by who listens and whether it records; point clouds made."""
+    spent: dict[tuple[bool, bool], list[float]] = {}
+    made: dict[tuple[bool, bool], float] = {}
+    for _, listens, records in itertools.product(range(repeats), (False, True), (False, True)):
+        one, clouds = cost_of_messages(scene, listens, records)
+        spent.setdefault((listens, records), []).append(one)
+        made[listens, records] = clouds
+    print("\nnode, asleep: processor time a step [µs], median of", repeats)
+    for (listens, records), times in spent.items():
+        what = f"{'a' if listens else 'no'} mesh subscriber, {'' if records else 'not '}recording"
+        print(f"{what:>36}: {1e6 * np.median(times):.0f}   point clouds a second {made[listens, records]:.0f}")
+
+
+def cost_of_messages(scene: str, listens: bool, records: bool, seconds: float = 5.0) -> tuple[float, float]:
+    """Processor time a step [s] and point clouds a second, over so many seconds."""
+    import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
+    from node_memory import cpu_seconds
+    from node_process import DOMAIN, running_node
+    from rclpy.executors import SingleThreadedExecutor
+    from sensor_msgs.msg import PointCloud2
+
+    reports: list[tuple[float, float, dict[str, str]]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        parameters = {"scene": scene} | ({"record": f"{folder}/bag"} if records else {})
+        with running_node(parameters) as (process, _):
+            context = rclpy.Context()
+            rclpy.init(context=context, domain_id=int(DOMAIN))
+            client = rclpy.create_node("ablation", context=context, enable_rosout=False)
+            executor = SingleThreadedExecutor(context=context)
+            executor.add_node(client)
+
+            def heard(message: DiagnosticArray) -> None:
+                values = {item.key: item.value for item in message.status[0].values}
+                reports.append((time.monotonic(), cpu_seconds(process.pid), values))
+
+            client.create_subscription(DiagnosticArray, "/diagnostics", heard, 10)
+            if listens:
+                client.create_subscription(PointCloud2, "mesh_points", lambda message: None, 10)
+            end = time.monotonic() + seconds + 2.0
+            while time.monotonic() < end:
+                executor.spin_once(timeout_sec=0.1)
+            executor.shutdown()
+            client.destroy_node()
+            rclpy.shutdown(context=context)
+    (begin, before, first), (stop, after, last) = reports[1], reports[-1]
+    steps = int(last["steps"]) - int(first["steps"])
+    clouds = int(last["mesh messages"]) - int(first["mesh messages"])
+    return (after - before) / steps, clouds / (stop - begin)
 
 
 def draw(medians: dict[str, np.ndarray], path: Path) -> None:
