@@ -39,7 +39,8 @@ def contact_rows(model: Model, state: State, h: float) -> int:
     compliances, scale, lam = state.compliance, state.scale, state.lam
     moving = state.moving
     nf, rows = model.free.shape[0], 0
-    if state.clearance[0] > margin + h * fastest(moving):
+    nearing = bone_nears(model, state)
+    if state.clearance[0] > margin + h * max(fastest(moving), nearing):
         return 0
     state.work[NODES_SEEN] += nodes.shape[0]
     for c in range(nodes.shape[0]):
@@ -47,7 +48,7 @@ def contact_rows(model: Model, state: State, h: float) -> int:
         x, v, w, warm = positions[node], velocities[node], moving[node], forces[node]
         gap = frame[0, 0] * (x[0] - point[0]) + frame[0, 1] * (x[1] - point[1]) + frame[0, 2] * (x[2] - point[2])
         ahead = gap + h * (frame[0, 0] * w[0] + frame[0, 1] * w[1] + frame[0, 2] * w[2])
-        if gap > margin and ahead > margin:
+        if gap > margin and ahead > margin and gap - h * nearing > margin:
             continue
         if rows + 3 > lam.shape[0]:
             return -1
@@ -112,6 +113,17 @@ def deepest(model: Model, state: State) -> float:
         least = min(least, gap)
     state.clearance[0] = least
     return max(0.0, -least)
+
+
+@stage
+def bone_nears(model: Model, state: State) -> float:
+    """How fast the fastest driven node comes towards the plane in this step [m/s], 0 when none does: skin follows."""
+    frame, driven, velocities = model.plane_frame, model.driven, state.driven_velocity
+    most = 0.0
+    for d in range(driven.shape[0]):
+        v = velocities[driven[d]]
+        most = max(most, -(frame[0, 0] * v[0] + frame[0, 1] * v[1] + frame[0, 2] * v[2]))
+    return most
 
 
 @stage
