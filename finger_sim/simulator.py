@@ -29,7 +29,7 @@ from .scene import Pose, Scene, Solver, Vec3
 
 Progress = Callable[[str], None]
 
-MOST_REJECTIONS, TORN = 20, 100.0
+MOST_REJECTIONS, TORN = 20, 30.0
 """Steps rejected in a row, and distance from the finger frame's origin over that at rest, that restore a body."""
 RAGING, RAGING_TIME = 20.0, 0.25
 """Speed in tetrahedra's sizes a second, and time under a command that holds [s], that restore a strained body."""
@@ -142,7 +142,7 @@ class Simulator:
             if came & _REJECTED:
                 self._move_rigidly(before, self.pose, h)
             self._rejections = self._rejections + 1 if came & _REJECTED else 0
-            if self._rejections >= MOST_REJECTIONS or result[stepping.REACH] > self._torn + h * result[stepping.SPEED]:
+            if self._rejections >= MOST_REJECTIONS or self._torn_apart(result, h):
                 self._restore()
                 came |= _RESTORED
             status |= came
@@ -305,6 +305,11 @@ class Simulator:
         turn = matrix(after.orientation) @ matrix(before.orientation).T
         moved = (self.positions - np.array(before.position)) @ turn.T + np.array(after.position)
         self.set_state(moved, (moved - self.positions) / h)
+
+    def _torn_apart(self, result: list[float], h: float) -> bool:
+        """Whether a node is beyond TORN; a free body's frame is that of the step before."""
+        lag = 0.0 if self._driven else h * result[stepping.SPEED]
+        return result[stepping.REACH] > self._torn + lag
 
     def _restore(self) -> None:
         """Undeformed and at rest where the bone is: what else is left to a body that is beyond repair.

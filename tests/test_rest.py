@@ -171,7 +171,7 @@ def test_a_plane_that_comes_near_is_met() -> None:
 
 @pytest.mark.parametrize("how", ["torn", "inside out", "raging"])
 def test_a_body_beyond_repair_is_restored_and_says_so(how: str) -> None:
-    """Torn a hundredfold, at rest inside out, or raging beyond its limits for a quarter of a second: back to rest."""
+    """Torn thirtyfold, at rest inside out, or raging beyond its limits for a quarter of a second: back to rest."""
     scene = beam_scene(
         (0.04, 0.02, 0.02),
         (4, 2, 2),

@@ -128,7 +128,7 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
     if model.method == PGS and not unconstrained(model, state, h):  # v_free = A⁻¹ b
         return 0, 0, False
     since_linearised(state, again)
-    contacts = contact_rows(model, state, h) if model.has_plane else 0
+    contacts = contact_rows(model, state, h, again > 0) if model.has_plane else 0
     status = 0
     if contacts < 0:
         contacts, status = (state.lam.shape[0] // 3) * 3, _ROW_LIMIT
