@@ -261,11 +261,15 @@ def _minus_products(
 def _invert(a: Lanes, b: Lanes, c: Lanes, inverse: Floats, k: int) -> bool:
     """inverse[k] = (a b c)⁻¹ of a symmetric block; False, and nothing done, if it is not positive definite."""
     a00, a10, a20, a11, a21, a22 = lane(a, 0), lane(a, 1), lane(a, 2), lane(b, 1), lane(b, 2), lane(c, 2)
+    if not a00 > 0.0:
+        return False
     l10, l20 = a10 / a00, a20 / a00
     d1, t = a11 - l10 * a10, a21 - l20 * a10
+    if not d1 > 0.0:
+        return False
     l21 = t / d1
     d2 = a22 - l20 * a20 - l21 * t
-    if not (a00 > 0.0 and d1 > 0.0 and d2 > 0.0):
+    if not d2 > 0.0:
         return False
     m20, i1, i22 = l10 * l21 - l20, 1.0 / d1, 1.0 / d2
     i20, i21 = m20 * i22, -l21 * i22
