@@ -28,7 +28,7 @@ SOLVERS: dict[str, dict[str, Any]] = {
     "pgs": {"limits": {"projection": "hyperbolic"}, "solver": {"method": "pgs", "max_iterations": 200}},
 }
 """What a scene is solved with."""
-JUMP_FORCE = 1e3
+JUMP_FORCE = 1.2e3
 """What the finger's contact force must not exceed on a jump of the command [N]."""
 JUMP_RECOVERS, SHAKE_RECOVERS = 0.1, 0.1
 """Time after the bone is back in which all is as if it had never been away [s]."""
