@@ -25,8 +25,8 @@ class Rung(NamedTuple):
 LADDER = (
     Rung("scene", 0.0, False, 1_000_000, "as the scene has it"),
     Rung("coarse", 1e-2, False, 1_000_000, "0.05 %"),
-    Rung("lagged", 1e-2, True, 1_000_000, "0.06 %"),
-    Rung("capped", 5e-2, True, 2, "0.4 %"),
+    Rung("lagged", 1e-2, True, 1_000_000, "0.1 %"),
+    Rung("capped", 5e-2, True, 2, "2 %"),
 )
 """From the best to the quickest."""
 WINDOW = 50
