@@ -37,7 +37,7 @@ class Broken(BagWriter):
     def write(self, *arguments, **options):
         if sum(self.counts.values()) == 2:
             self.abort()
-            raise BagError(f"{self.file}: cannot be written: No space left on device")
+            raise BagError(f"{self.files[-1]}: cannot be written: No space left on device")
         super().write(*arguments, **options)
 
 
