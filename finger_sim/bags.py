@@ -331,10 +331,12 @@ class BagWriter:
     def _information(self) -> dict[str, Any]:
         """rosbag2's bag information, metadata version 9."""
         count = sum(part.count for part in self._parts)
+        times = _times(self._parts)
         return {
             "version": 9,
             "storage_identifier": "mcap",
-            **_times(self._parts),
+            "duration": times["duration"],
+            "starting_time": times["starting_time"],
             "message_count": count,
             "topics_with_message_count": [
                 {

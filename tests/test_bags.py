@@ -567,6 +567,27 @@ def test_full_disk_is_told_and_the_rest_stays_readable(tmp_path: Path) -> None:
     assert BagReader(path).truncated
 
 
+def test_a_disk_that_fills_up_between_two_files_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """/dev/full stands for the second file: the error names it and the reason; the first file is whole."""
+    real = Path.open
+    monkeypatch.setattr(
+        Path, "open", lambda path, *mode: real(Path("/dev/full") if path.stem == "bag_1" else path, "wb")
+    )
+    bag = BagWriter(tmp_path / "bag", split_seconds=0.5)
+    bag.add_topic("command_pose", cdr.POSE_STAMPED)
+    for k in range(250):
+        bag.write("command_pose", pose(k), START + k * PERIOD)
+    with pytest.raises(BagError, match=r"bag_1.mcap: cannot be written: No space left on device"):
+        bag.write("command_pose", pose(250), START + 250 * PERIOD)
+    assert bag.counts == {"/command_pose": 250}
+    with pytest.raises(BagError, match="closed"):
+        bag.write("command_pose", pose(0), START)
+    monkeypatch.undo()
+    with mcap_file(tmp_path / "bag").open("rb") as stream:
+        assert sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages()) == 250
+    assert BagReader(tmp_path / "bag").warning is None
+
+
 def test_existing_and_impossible_outputs_are_refused(tmp_path: Path) -> None:
     """Nothing is overwritten; a path that cannot be made says why."""
     bag = write_poses(tmp_path / "bag", 3)

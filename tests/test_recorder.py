@@ -200,15 +200,6 @@ def test_two_nodes_to_one_bag_are_one_too_many(tmp_path):
     assert reader.message_count > 0
 
 
-def test_a_place_that_cannot_be_written_ends_the_node_with_the_reason(tmp_path):
-    """Whoever asks for a recording from the start does not get a run without one: exit code 1, one line."""
-    arguments = ("-p", f"scene:={write_block(tmp_path)}", "-p", "record:=/proc/no/bag")
-    with NodeProcess(tmp_path / "log", *arguments) as node:
-        assert node.code() == 1
-        assert "/proc/no/bag: cannot be made: No such file or directory" in node.output
-        assert "Traceback" not in node.output
-
-
 def forces(bag):
     """Receipt times [s] and contact forces (n, 3) [N], read with the mcap library."""
     with next(bag.glob("*.mcap")).open("rb") as stream:
