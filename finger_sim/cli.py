@@ -240,6 +240,71 @@ def _figures(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _stress(options: argparse.Namespace) -> int:
+    from .console import console, gauge, say
+    from .studies.stress import Options, failures, stress, summary
+
+    what = Options(options.cases, options.seed, options.minutes, options.long, options.out)
+    with gauge(f"stress: {what.cases} random cases of seed {what.seed}, and the directed ones") as meter:
+        report = stress(what, meter)
+    console().print(summary(report))
+    if report.left_out:
+        say(f"finger_sim: {report.left_out} cases left out: out of time")
+    if not report.failed:
+        return DONE
+    console().print("", failures(report), sep="\n")
+    for folder in report.written:
+        say(f"finger_sim: to see it again: {folder}")
+    return FAILED
+
+
+def _tradeoff(options: argparse.Namespace) -> int:
+    if options.for_rate is not None:
+        return _for_rate(options)
+    from .console import console, say
+    from .studies.tradeoff import SCENES, Options, tradeoff
+    from .studies.tradeoff_grid import DEFAULT, Grid
+    from .studies.tradeoff_report import summary
+
+    what = Options(
+        scenes=[*options.scenes, *options.scene] or SCENES,
+        bags=options.bag or [None],
+        grid=Grid.load(options.grid) if options.grid else DEFAULT,
+        duration=options.duration,
+        scheduler=options.scheduler,
+        workers=options.workers,
+        out=options.out,
+    )
+    report = tradeoff(what)
+    console().print(summary(report.rows))
+    console().print("", *(str(path) for path in (report.table, *report.pictures)), sep="\n")
+    for failure in report.failed:
+        say(f"finger_sim: not run: {failure}")
+    return FAILED if report.failed else DONE
+
+
+def _for_rate(options: argparse.Namespace) -> int:
+    from .console import console, gauge, say
+    from .studies.tradeoff_rate import for_rate
+    from .studies.tradeoff_report import tried, words
+
+    for name in ("grid", "scheduler", "workers"):
+        if getattr(options, name) is not None:
+            raise FingerSimError(f"--{name}: not allowed with --for-rate")
+    scenes = [*options.scenes, *options.scene] or ["finger_haptic"]
+    if len(scenes) > 1 or len(options.bag) > 1:
+        raise FingerSimError("--for-rate: allowed with one scene and one bag")
+    bag = options.bag[0] if options.bag else None
+    with gauge(f"{scenes[0]}: settings that hold {options.for_rate:g} Hz on this machine") as meter:
+        found = for_rate(scenes[0], options.for_rate, bag, options.duration, options.out, meter)
+    console().print(tried(found))
+    if found.scene is None:
+        say(f"finger_sim: nothing holds {options.for_rate:g} Hz here; the nearest: {words(found.best)}")
+        return FAILED
+    console().print("", str(found.scene), sep="\n")
+    return DONE
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="finger_sim",
@@ -260,6 +325,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_mesh(verbs)
     _add_bench(verbs)
     _add_figures(verbs)
+    _add_stress(verbs)
+    _add_tradeoff(verbs)
     _verb(
         verbs,
         "node",
@@ -477,6 +544,74 @@ def _add_figures(verbs: Any) -> None:
     )
 
 
+def _add_stress(verbs: Any) -> None:
+    stress = _verb(
+        verbs,
+        "stress",
+        _stress,
+        "extreme and random scenes and motions: none may end in NaN, a crash, or wrong without a word",
+        "finger_sim stress --cases 1000 --seed 7 --minutes 10 --out failed",
+    )
+    add = stress.add_argument
+    add(
+        "--cases", type=_count, default=200, metavar="N", help="random cases, after the directed (default: %(default)s)"
+    )
+    add("--seed", type=_count, default=0, metavar="S", help="of the random cases (default: %(default)s)")
+    add("--minutes", type=_positive, metavar="M", help="begin no further case after that (default: run them all)")
+    add("--long", action="store_true", help="a million steps of press and slide too: some minutes")
+    add(
+        "--out",
+        type=Path,
+        default=Path("stress_failed"),
+        metavar="DIR",
+        help="folder for what repeats a case that failed (default: %(default)s)",
+    )
+
+
+def _add_tradeoff(verbs: Any) -> None:
+    tradeoff = _verb(
+        verbs,
+        "tradeoff",
+        _tradeoff,
+        "what settings cost and what they give up, against converged runs (needs the extra [tradeoff])",
+        "finger_sim tradeoff finger_haptic --bag press_side --out side\n"
+        "  finger_sim tradeoff --for-rate 1000 --scene finger_haptic",
+    )
+    add = tradeoff.add_argument
+    add("scenes", nargs="*", metavar="SCENE", help="scenes to study (default: finger_haptic)")
+    add("--scene", action="append", default=[], metavar="SCENE", help="the same; may be repeated")
+    add(
+        "--bag",
+        action="append",
+        default=[],
+        metavar="BAG",
+        help="commands; may be repeated (default: 0.5 s of a slide)",
+    )
+    add("--duration", type=_positive, metavar="S", help="seconds of the commands (default: all)")
+    add(
+        "--grid",
+        type=Path,
+        metavar="FILE",
+        help="YAML of what to change: `base`: {KEY: VALUE} in all points, `sweeps`: {KEY: [VALUE, …]} one at a time, "
+        "`product`: {KEY: [VALUE, …]} all combinations, `points`: [{KEY: VALUE, …}, …]; keys are dotted",
+    )
+    add("--scheduler", metavar="ADDRESS", help="a Dask scheduler, tcp://HOST:PORT (default: own processes here)")
+    add("--workers", type=_one_or_more, metavar="N", help="own processes (default: one for each processor)")
+    add(
+        "--for-rate",
+        type=_positive,
+        metavar="HZ",
+        help="instead of the study: find the most accurate settings that hold HZ here, and write them as a scene",
+    )
+    add(
+        "--out",
+        type=Path,
+        default=Path("tradeoff"),
+        metavar="DIR",
+        help="folder for table, pictures and finished runs, which are not made again (default: %(default)s)",
+    )
+
+
 def _verb(
     verbs: Any,
     name: str,
@@ -517,6 +652,18 @@ def _tolerance(text: str) -> float:
     if not 0.0 <= value < float("inf"):
         raise argparse.ArgumentTypeError(f"got {text!r}, allowed: a finite number >= 0")
     return value
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"got {text!r}, allowed: a whole number from 0 on")
+    return int(text)
+
+
+def _one_or_more(text: str) -> int:
+    if not (text.isdecimal() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"got {text!r}, allowed: a whole number from 1 on")
+    return int(text)
 
 
 def _priority(text: str) -> int:

@@ -10,7 +10,7 @@ import math
 
 from .arrays import Floats
 from .rotations import angle, slerp
-from .scene import Coupling, Pose
+from .scene import Coupling, Pose, Vec3
 
 
 def follow(coupling: Coupling, pose: Pose, command: Pose, dt: float) -> tuple[Pose, bool]:
@@ -23,6 +23,30 @@ def follow(coupling: Coupling, pose: Pose, command: Pose, dt: float) -> tuple[Po
     if turn > coupling.max_angular_speed * dt:
         fraction = min(fraction, coupling.max_angular_speed * dt / turn)
     return (command, False) if fraction == 1.0 else (between(pose, command, fraction), True)
+
+
+def stop_at_plane(normal: Vec3, point: Vec3, centre: Vec3, start: Pose, end: Pose) -> tuple[Pose, bool]:
+    """Where a bone comes on its way from `start` to `end`, its centre not past the plane; whether that stopped it.
+
+    normal: unit, outward; point: of the plane [m], world. centre: the mean of the driven nodes, as read [m].
+    A bone that is past the plane already may not go deeper.
+    """
+    after = _height(normal, point, centre, end)
+    if after >= 0.0:
+        return end, False
+    before = _height(normal, point, centre, start)
+    if after >= before:
+        return end, False
+    return between(start, end, before / (before - after) if before > 0.0 else 0.0), True
+
+
+def _height(normal: Vec3, point: Vec3, centre: Vec3, pose: Pose) -> float:
+    """Of the bone's centre over the plane [m]."""
+    x, y, z, w = pose.orientation
+    a, b, c = centre
+    s, t, u = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    turned = (a + w * s + y * u - z * t, b + w * t + z * s - x * u, c + w * u + x * t - y * s)
+    return sum(n * (r + p - q) for n, r, p, q in zip(normal, turned, pose.position, point, strict=True))
 
 
 def between(a: Pose, b: Pose, fraction: float) -> Pose:

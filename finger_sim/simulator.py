@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .arrays import Floats
-from .coupling import between, device_wrench, follow
+from .coupling import between, device_wrench, follow, stop_at_plane
 from .errors import SceneError
 from .fields import specs
 from .layout import place
@@ -25,13 +25,19 @@ from .physics.ready import advance, measure_strains, ready, refresh
 from .physics.step import Status
 from .physics.work import WORK
 from .rotations import ZERO_NORM, matrix, normalised
-from .scene import Pose, Scene, Solver
+from .scene import Pose, Scene, Solver, Vec3
 
 Progress = Callable[[str], None]
 
+MOST_REJECTIONS, TORN = 20, 30.0
+"""Steps rejected in a row, and distance from the finger frame's origin over that at rest, that restore a body."""
+RAGING, RAGING_TIME = 20.0, 0.25
+"""Speed in tetrahedra's sizes a second, and time under a command that holds [s], that restore a strained body."""
 _POSE = specs(Pose)
 _FARTHEST = _POSE["position"].high
 _REJECTED = int(Status.STEP_REJECTED)
+_INVERTED, _RESTORED = int(Status.INVERTED), int(Status.RESTORED)
+_STRAINED = int(Status.INVERTED | Status.LIMIT_EXCEEDED)
 _UNSETTLED = int(Status.STEP_REJECTED | Status.COMMAND_LIMITED)
 STILL, STILL_TIME = 1e-7, 0.01
 """A body sleeps when for so long [s] no node was faster than this part of the tetrahedra's size a second."""
@@ -82,13 +88,18 @@ class Simulator:
         self._model = build_model(scene, self.mesh)
         self._state = build_state(self._model, self.mesh.points, timed)
         self._ready = ready(self._model, self._state)
+        self._plane = _plane_of(scene)
         self._rest_driven = self.mesh.points[self._model.driven]
+        self._centre = tuple(self._rest_driven.mean(axis=0).tolist()) if len(self._rest_driven) else (0.0, 0.0, 0.0)
         self._turned_by, self._turned_driven = Pose().orientation, self._rest_driven
         self._driven = scene.driven is not None
         self._command = self._given = self.pose = scene.initial_pose
         self._still = STILL * self._model.length
+        self._torn = TORN * float(np.linalg.norm(self.mesh.points, axis=1).max())
+        self._raging = RAGING * self._model.length
+        self._rejections = 0
         self._asleep: StepResult | None = None
-        self._still_since = self._steps = 0
+        self._still_since = self._raging_since = self._steps = 0
         self._timed = timed
         if compiled_before():
             tell("loading compiled kernels")
@@ -115,6 +126,9 @@ class Simulator:
         end = start
         if self._driven:
             end, limited = follow(scene.coupling, start, self._command, scene.dt)
+            if self._plane is not None and end is not start:
+                end, stopped = stop_at_plane(*self._plane, self._centre, start, end)
+                limited |= stopped
         h = scene.dt / scene.substeps
         status, iterations, residual = int(Status.COMMAND_LIMITED) if limited else 0, 0, 0.0
         for substep in range(1, scene.substeps + 1):
@@ -127,6 +141,10 @@ class Simulator:
             came = int(result[stepping.STATUS])
             if came & _REJECTED:
                 self._move_rigidly(before, self.pose, h)
+            self._rejections = self._rejections + 1 if came & _REJECTED else 0
+            if self._rejections >= MOST_REJECTIONS or self._torn_apart(result, h):
+                self._restore()
+                came |= _RESTORED
             status |= came
             iterations += int(result[stepping.ITERATIONS])
             residual = max(residual, result[stepping.RESIDUAL])
@@ -150,8 +168,18 @@ class Simulator:
             contacts=int(result[stepping.CONTACTS]),
             max_penetration=result[stepping.PENETRATION],
         )
+        raging = status & _STRAINED and out.contacts == 0 and result[stepping.SPEED] > self._raging
+        if not raging or end != start:
+            self._raging_since = self._steps
+        elif (self._steps - self._raging_since) * scene.dt >= RAGING_TIME:
+            self._restore()
+            return dataclasses.replace(out, status=Status(status | _RESTORED))
         if result[stepping.SPEED] > self._still or status & _UNSETTLED:
             self._still_since = self._steps
+        elif status & _INVERTED and out.contacts == 0:
+            if (self._steps - self._still_since) * scene.dt >= STILL_TIME:
+                self._restore()
+                return dataclasses.replace(out, status=Status(status | _RESTORED))
         elif scene.solver.sleep and (self._steps - self._still_since) * scene.dt >= STILL_TIME:
             self._asleep = out
             state.v[:] = 0.0
@@ -250,6 +278,7 @@ class Simulator:
     def _use(self, scene: Scene) -> None:
         """The live values of a scene."""
         self._model = with_live_values(self._model, scene)
+        self._plane = _plane_of(scene)
         self._state.clearance[0] = -1.0
         self._state.age[0] = 0
         self._wake()
@@ -257,7 +286,8 @@ class Simulator:
 
     def _wake(self) -> None:
         """Compute the next step, whatever the command."""
-        self._asleep, self._still_since = None, self._steps
+        self._asleep = None
+        self._still_since = self._raging_since = self._steps
 
     def _targets(self) -> Floats:
         """Where the driven nodes are to be, (nd, 3) [m], at self.pose; the turned rest nodes are kept for the next."""
@@ -275,6 +305,21 @@ class Simulator:
         turn = matrix(after.orientation) @ matrix(before.orientation).T
         moved = (self.positions - np.array(before.position)) @ turn.T + np.array(after.position)
         self.set_state(moved, (moved - self.positions) / h)
+
+    def _torn_apart(self, result: list[float], h: float) -> bool:
+        """Whether a node is beyond TORN; a free body's frame is that of the step before."""
+        lag = 0.0 if self._driven else h * result[stepping.SPEED]
+        return result[stepping.REACH] > self._torn + lag
+
+    def _restore(self) -> None:
+        """Undeformed and at rest where the bone is: what else is left to a body that is beyond repair.
+
+        After MOST_REJECTIONS in a row, torn to TORN times its size, at rest with a tetrahedron inside out, or raging:
+        strained beyond its limits or inside out, and not coming to rest, with nothing that holds it so.
+        """
+        self._rejections = 0
+        positions = place(self.mesh.points, self.pose)
+        self.set_state(positions, np.zeros_like(positions))
 
     def _best_fit(self) -> Pose:
         """Frame of a free body: the rigid motion of the rest mesh nearest to the nodes, by mass."""
@@ -300,6 +345,14 @@ def _checked(pose: Pose) -> Pose:
     if not all(map(math.isfinite, orientation)) or math.hypot(*orientation) < ZERO_NORM:
         raise SceneError("command.orientation", orientation, _POSE["orientation"].allowed)
     return Pose(position, normalised(orientation))
+
+
+def _plane_of(scene: Scene) -> tuple[Vec3, Vec3] | None:
+    """Unit normal and a point of the scene's plane, as plain numbers."""
+    if scene.plane is None:
+        return None
+    x, y, z = scene.plane.unit_normal.tolist()
+    return (x, y, z), scene.plane.point
 
 
 def _read_only(array: Floats) -> Floats:

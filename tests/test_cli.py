@@ -18,7 +18,9 @@ from finger_sim.cdr import POSE_STAMPED, pose_stamped
 from finger_sim.cli import main
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-VERBS = ("demo", "run", "play", "import", "info", "compare", "mesh", "bench", "figures", "node")
+VERBS = (
+    "demo", "run", "play", "import", "info", "compare", "mesh", "bench", "figures", "stress", "tradeoff", "node",
+)  # fmt: skip
 SCENE = """
 mesh: {beam: {size: [0.02, 0.01, 0.01], cells: [2, 1, 1]}}
 driven: {box: [[-1, -1, 0.0099], [1, 1, 1]]}
@@ -90,6 +92,10 @@ def test_help_lists_the_verbs(capsys):
         (["import", "poses.csv", "-o", "bag", "--set", "z=up"], "--set: z: got 'up', allowed: a number"),
         (["mesh", "cube", "-o", "a.vtu"], "'cube'"),
         (["mesh", "beam", "-o", "a.vtu", "--tets", "9"], "--tets"),
+        (["stress", "--cases", "-3"], "--cases: got '-3', allowed: a whole number from 0 on"),
+        (["stress", "--minutes", "0"], "--minutes: got '0', allowed: a finite number > 0"),
+        (["tradeoff", "--workers", "0"], "--workers: got '0', allowed: a whole number from 1 on"),
+        (["tradeoff", "--for-rate", "fast"], "--for-rate: got 'fast', allowed: a finite number > 0"),
         (["node", "--fast"], "--fast"),
     ],
 )

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from physics_helpers import beam_scene, finger_scene, pose
 from scipy.spatial.transform import Rotation
 
-from finger_sim import Scene, Simulator
+from finger_sim import Scene, Simulator, Status
 from finger_sim.simulator import STILL_TIME
 
 FLAT = Rotation.from_euler("x", 90, degrees=True)
@@ -167,3 +167,63 @@ def test_a_plane_that_comes_near_is_met() -> None:
     contacts = [sim.step(pose((0, 0, z), FLAT)).contacts for z in [*heights, touch - 5e-4]]
     assert contacts[-1] > 0
     assert not any(contacts[:-3])
+
+
+@pytest.mark.parametrize("how", ["torn", "inside out", "raging"])
+def test_a_body_beyond_repair_is_restored_and_says_so(how: str) -> None:
+    """Torn thirtyfold, at rest inside out, or raging beyond its limits for a quarter of a second: back to rest."""
+    scene = beam_scene(
+        (0.04, 0.02, 0.02),
+        (4, 2, 2),
+        young=5e4,
+        poisson=0.4,
+        damping=(0.0, 0.002),
+        driven={"box": [[-1, -1, 0.01999], [1, 1, 1]]},
+        limits={"projection": "tensor", "stretch": [1.05, 1.25, 1.1], "compress": [0.95, 0.75, 0.9]},
+        solver={"method": "newton", "sleep": False},
+    )
+    sim = Simulator(scene)
+    rest = sim.mesh.points.copy()
+    free = np.setdiff1d(np.arange(len(rest)), scene.driven_nodes(sim.mesh))
+    x, v = rest.copy(), np.zeros_like(rest)
+    if how == "torn":
+        x[free[0]] += [0.0, 0.0, -30.0]
+    elif how == "inside out":
+        x[free, 2] = 0.04 - x[free, 2]
+    else:
+        x[free] = [0.02, 0.01, 0.02] + 3.0 * np.random.default_rng(2).standard_normal((len(free), 3)) * 0.01
+        v[free] = 20.0 * np.random.default_rng(3).standard_normal((len(free), 3))
+    sim.set_state(x, v)
+    said = Status.OK
+    for _ in range(1500):
+        said |= sim.step().status
+    assert said & (Status.INVERTED | Status.LIMIT_EXCEEDED)
+    assert_allclose(sim.positions, rest, rtol=0, atol=1e-6)
+    if how == "torn":
+        assert said & Status.RESTORED
+
+
+def test_a_press_beyond_all_limits_is_not_restored() -> None:
+    """Contact holds it so: strained, not raging, and its force stays."""
+    sim, hold = pressed(haptic(solver__sleep=False), 3e-3)
+    outs = [sim.step(hold) for _ in range(600)]
+    assert outs[-1].status & Status.LIMIT_EXCEEDED
+    assert not any(out.status & Status.RESTORED for out in outs)
+    assert outs[-1].contact_wrench[2] > 5.0
+
+
+def test_a_bone_stops_at_the_plane() -> None:
+    """Commanded a metre down, the mean of the driven nodes stays above it, and says so; back up it is free."""
+    sim = Simulator(haptic())
+    driven = sim.scene.driven_nodes(sim.mesh)
+    start = sim.scene.initial_pose
+    sim.reset(start)
+    for _ in range(200):
+        out = sim.step(pose((0, 0, -1.0), FLAT))
+    assert sim.positions[driven, 2].mean() == pytest.approx(0.0, abs=1e-9)
+    assert out.status & Status.COMMAND_LIMITED
+    assert np.linalg.norm(out.contact_wrench[:3]) < 2e3
+    for _ in range(500):
+        out = sim.step(start)
+    assert_allclose(sim.positions, FLAT.apply(np.array(sim.mesh.points)) + start.position, rtol=0, atol=2e-4)
+    assert (out.contact_wrench == 0.0).all()

@@ -26,10 +26,10 @@ _MARGIN = 0.03  # nodes nearer than this part of the tetrahedra's size get rows:
 
 
 @stage
-def contact_rows(model: Model, state: State, h: float) -> int:
+def contact_rows(model: Model, state: State, h: float, again: bool) -> int:
     """Three rows, from the first on, for every free surface node that can reach the plane in this step; their number.
 
-    -1 when the arrays hold no more rows.
+    -1 when the arrays hold no more rows. `again`: state.x is an estimate of the step's end, which a node may leave too.
     """
     frame, point = model.plane_frame, model.plane_point
     margin = _MARGIN * model.length
@@ -39,7 +39,8 @@ def contact_rows(model: Model, state: State, h: float) -> int:
     compliances, scale, lam = state.compliance, state.scale, state.lam
     moving = state.moving
     nf, rows = model.free.shape[0], 0
-    if state.clearance[0] > margin + h * fastest(moving):
+    nearing = bone_nears(model, state)
+    if state.clearance[0] > margin + h * max(fastest(state.v_start if again else moving), nearing):
         return 0
     state.work[NODES_SEEN] += nodes.shape[0]
     for c in range(nodes.shape[0]):
@@ -47,7 +48,8 @@ def contact_rows(model: Model, state: State, h: float) -> int:
         x, v, w, warm = positions[node], velocities[node], moving[node], forces[node]
         gap = frame[0, 0] * (x[0] - point[0]) + frame[0, 1] * (x[1] - point[1]) + frame[0, 2] * (x[2] - point[2])
         ahead = gap + h * (frame[0, 0] * w[0] + frame[0, 1] * w[1] + frame[0, 2] * w[2])
-        if gap > margin and ahead > margin:
+        far = gap > margin and ahead > margin and gap - h * nearing > margin
+        if far and not (again and set_out_for(model, state, node, h) <= margin):
             continue
         if rows + 3 > lam.shape[0]:
             return -1
@@ -112,6 +114,27 @@ def deepest(model: Model, state: State) -> float:
         least = min(least, gap)
     state.clearance[0] = least
     return max(0.0, -least)
+
+
+@stage
+def set_out_for(model: Model, state: State, node: int, h: float) -> float:
+    """Gap that the node would have at the end of the step at the velocity it began it with [m]."""
+    frame, point, x, v = model.plane_frame, model.plane_point, state.x_start[node], state.v_start[node]
+    gap = 0.0
+    for k in range(3):
+        gap += frame[0, k] * (x[k] + h * v[k] - point[k])
+    return gap
+
+
+@stage
+def bone_nears(model: Model, state: State) -> float:
+    """How fast the fastest driven node comes towards the plane in this step [m/s], 0 when none does: skin follows."""
+    frame, driven, velocities = model.plane_frame, model.driven, state.driven_velocity
+    most = 0.0
+    for d in range(driven.shape[0]):
+        v = velocities[driven[d]]
+        most = max(most, -(frame[0, 0] * v[0] + frame[0, 1] * v[1] + frame[0, 2] * v[2]))
+    return most
 
 
 @stage

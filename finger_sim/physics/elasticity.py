@@ -55,6 +55,8 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
     if anew:
         matrix(model, state, h)
         state.work[MATRICES] += 1
+        if model.hold > 1:
+            state.turned[:] = state.quaternion
     if again:
         w, product, part = state.slot_velocity, state.slot_product, h / (h + beta)
         slot_velocities(model, state)

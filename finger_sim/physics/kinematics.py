@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..arrays import Floats, Ints
-from .compile import formula, kernel
+from .compile import formula, kernel, stage
 from .lanes import bits, gather3, load8, store8
 from .polar import Matrix, Vector, polar, store_matrix
 from .work import DECOMPOSITIONS
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 BATCH = 32  # tetrahedra decomposed side by side: a fixed, contiguous inner loop, long enough that LLVM vectorises it
 _SWEEPS = 30  # one-sided Jacobi converges quadratically: 3 to 6 in practice
 _ORTHOGONAL = 1e-15
+_TURN = 0.1  # angle that a tetrahedron may turn by while steps share A [rad]
+_COS_HALF_TURN_SQUARED = math.cos(0.5 * _TURN) ** 2
 
 
 @kernel
@@ -184,6 +186,18 @@ def kinematics(model: Model, state: State) -> None:
         state.work[DECOMPOSITIONS] += model.tets.shape[0]
         deformation_gradient(model.tets, model.gradients, state.x, state.F)
         signed_svds(state.F, state.U, state.s, state.V, state.columns, state.turn)
+
+
+@stage
+def turned_far(state: State) -> bool:
+    """Whether a tetrahedron has turned by more than _TURN since A was formed."""
+    now, then = state.quaternion, state.turned
+    for b in range(now.shape[0]):
+        along = load8(now, b, 0) * load8(then, b, 0) + load8(now, b, 1) * load8(then, b, 1)
+        along = along + load8(now, b, 2) * load8(then, b, 2) + load8(now, b, 3) * load8(then, b, 3)
+        if bits(along * along < _COS_HALF_TURN_SQUARED) != 0:
+            return True
+    return False
 
 
 @formula

@@ -261,14 +261,19 @@ def _minus_products(
 def _invert(a: Lanes, b: Lanes, c: Lanes, inverse: Floats, k: int) -> bool:
     """inverse[k] = (a b c)⁻¹ of a symmetric block; False, and nothing done, if it is not positive definite."""
     a00, a10, a20, a11, a21, a22 = lane(a, 0), lane(a, 1), lane(a, 2), lane(b, 1), lane(b, 2), lane(c, 2)
-    i00, i10, i20 = a11 * a22 - a21 * a21, a20 * a21 - a10 * a22, a10 * a21 - a20 * a11
-    minor = a00 * a11 - a10 * a10
-    det = a00 * i00 + a10 * i10 + a20 * i20
-    if not (a00 > 0.0 and minor > 0.0 and det > 0.0):
+    if not a00 > 0.0:
         return False
-    whole = 1.0 / det
-    i00, i10, i20 = i00 * whole, i10 * whole, i20 * whole
-    i11, i21, i22 = (a00 * a22 - a20 * a20) * whole, (a10 * a20 - a00 * a21) * whole, minor * whole
+    l10, l20 = a10 / a00, a20 / a00
+    d1, t = a11 - l10 * a10, a21 - l20 * a10
+    if not d1 > 0.0:
+        return False
+    l21 = t / d1
+    d2 = a22 - l20 * a20 - l21 * t
+    if not d2 > 0.0:
+        return False
+    m20, i1, i22 = l10 * l21 - l20, 1.0 / d1, 1.0 / d2
+    i20, i21 = m20 * i22, -l21 * i22
+    i00, i10, i11 = 1.0 / a00 + l10 * l10 * i1 + m20 * i20, m20 * i21 - l10 * i1, i1 - l21 * i21
     inverse[k, 0, 0], inverse[k, 0, 1], inverse[k, 0, 2] = i00, i10, i20
     inverse[k, 1, 0], inverse[k, 1, 1], inverse[k, 1, 2] = i10, i11, i21
     inverse[k, 2, 0], inverse[k, 2, 1], inverse[k, 2, 2] = i20, i21, i22

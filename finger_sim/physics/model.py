@@ -62,6 +62,7 @@ class Model(NamedTuple):
     contact_nodes: Ints  # (c,) those of them that are free
     lame_lambda: float  # [Pa]
     lame_mu: float  # [Pa]
+    least_force: float  # forces are judged relative to the largest row force, and no finer than relative to this [N]
     damping_mass: float  # Rayleigh α [1/s]
     damping_stiffness: float  # Rayleigh β [s]
     gravity: Floats  # (3,) [m/s²], world
@@ -168,10 +169,11 @@ class State(NamedTuple):
     turn: Floats  # (3, 3, BATCH) scratch
     P: Floats  # (3, 3) scratch
     D: Floats  # (3, 3) scratch
+    turned: Floats  # (B, 4, 8) quaternion when A was formed, where steps share it
     motion: Floats  # (1,) rms speed of the nodes at the end of the last step [m/s]
     clearance: Floats  # (1,) [m] no surface node is nearer to the plane; below 0: not known
     work: Ints  # (9,) what was done so far: see work.py
-    result: Floats  # (10,) what a step reports: see step.py
+    result: Floats  # (11,) what a step reports: see step.py
 
 
 def build_model(scene: Scene, mesh: TetMesh) -> Model:
@@ -249,6 +251,7 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
         contact_nodes=surface_nodes[is_free[surface_nodes]],
         lame_lambda=young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)),
         lame_mu=young / (2.0 * (1.0 + poisson)),
+        least_force=_least_force(scene, mass, length),
         damping_mass=scene.material.damping.mass,
         damping_stiffness=scene.material.damping.stiffness,
         gravity=np.array(scene.gravity),
@@ -303,6 +306,14 @@ def plane_frame(normal: Floats) -> Floats:
     return np.array([normal, t1, np.cross(normal, t1)])
 
 
+def _least_force(scene: Scene, mass: Floats, length: float) -> float:
+    """A thousandth of what shears a tetrahedron by its own length; a tenth of a node's weight where that is less."""
+    shear = scene.material.young / (2.0 * (1.0 + scene.material.poisson))
+    weight = float(mass.mean() * np.linalg.norm(scene.gravity))
+    floor = 1e-3 * shear * length**2
+    return min(floor, 0.1 * weight) if weight > 0.0 else floor
+
+
 class _Blocks(NamedTuple):
     """Where the 3 × 3 blocks of A are, and what adds to them: see Model."""
 
@@ -321,8 +332,8 @@ def _blocks(tet_slot: Ints, nf: int, pattern: Pattern) -> _Blocks:
     pairs = np.array(PAIRS)
     slots = tet_slot[:, pairs]  # (T, 10, 2)
     swap = slots[..., 0] < slots[..., 1]
-    pair_row = np.where(swap, pairs[:, 1], pairs[:, 0])
-    pair_column = np.where(swap, pairs[:, 0], pairs[:, 1])
+    pair_row = np.ascontiguousarray(np.where(swap, pairs[:, 1], pairs[:, 0]))
+    pair_column = np.ascontiguousarray(np.where(swap, pairs[:, 0], pairs[:, 1]))
     rows, columns = slots.max(axis=2), slots.min(axis=2)
     exists = rows < nf
     below = exists & (rows != columns)
@@ -445,8 +456,9 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
         turn=np.zeros((3, 3, BATCH)),
         P=np.zeros((3, 3)),
         D=np.zeros((3, 3)),
+        turned=aligned(batches if model.method != PGS else 0, 4, LANES),
         motion=np.zeros(1),
         clearance=np.full(1, -1.0),
         work=np.zeros(len(WORK), np.int64),
-        result=np.zeros(10),
+        result=np.zeros(11),
     )

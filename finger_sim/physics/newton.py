@@ -34,7 +34,6 @@ from .work import CORRECTIONS, FACTORISATIONS
 if TYPE_CHECKING:
     from .model import Model, State
 
-FLOOR = 1e-3  # forces are judged relative to the largest row force, and no finer than this part of G · length²
 _CORRECTIONS = 1  # solves that bring friction's unsymmetric part in
 _SLACK = 0.5  # a line search ends where dᵀr is within so much of what it was to either side of 0
 _TRIALS = 12
@@ -235,8 +234,7 @@ def evaluate(
     if not total < math.inf:  # max() passes over what is not a number
         return math.inf, math.inf, held, changed
     missing = math.sqrt(worst) / h
-    floor = FLOOR * model.lame_mu * model.length * model.length
-    return missing / max(largest, floor), missing, held, changed
+    return missing / max(largest, model.least_force), missing, held, changed
 
 
 @stage

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from ..arrays import Floats, Ints
 from .compile import kernel, stage
 from .linear_solver import NODE_LANES, solve, solve_lanes
-from .newton import FLOOR
 from .vectors import clear, copy_first
 
 if TYPE_CHECKING:
@@ -109,7 +108,7 @@ def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: in
             _make_column(S, J, nodes, row, Z[row])
             _add(u, Z[row], lam[row])
 
-    floor = FLOOR * model.lame_mu * model.length * model.length
+    floor = model.least_force
     worst, largest = visit(system, model.mu_friction, contact_rows, rows, False)
     residual = least = worst / max(largest, floor)
     copy_first(best, lam, rows)

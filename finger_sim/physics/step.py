@@ -12,7 +12,7 @@ from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
 from .elasticity import assemble
-from .kinematics import kinematics
+from .kinematics import kinematics, turned_far
 from .lanes import load4, splat8, store4, store8, sum3
 from .linear_solver import solve
 from .methods import NEWTON, PGS
@@ -43,14 +43,25 @@ class Status(enum.IntFlag):
     LIMIT_EXCEEDED = (
         128  # a strain is more than half as large again as its limit: not all limits can hold, or too softly
     )
+    RESTORED = 256  # the body was beyond repair and was put back, undeformed, at its bone: see simulator.py
 
 
 # Where `step` writes what it reports, in State.result.
-STATUS, ITERATIONS, RESIDUAL, LIMIT_ROWS, LIMITED_TETS, STRAIN_RATIO, CONTACTS, PENETRATION, LOCKED_TETS, SPEED = range(
-    10
-)
+(
+    STATUS,
+    ITERATIONS,
+    RESIDUAL,
+    LIMIT_ROWS,
+    LIMITED_TETS,
+    STRAIN_RATIO,
+    CONTACTS,
+    PENETRATION,
+    LOCKED_TETS,
+    SPEED,
+    REACH,
+) = range(11)
 
-_FARTHEST = 1e9  # tetrahedron sizes that a node may go in one step
+_FARTHEST = 1e4  # tetrahedron sizes that a node may go in one step
 _REJECTED = int(Status.NONFINITE | Status.STEP_REJECTED)
 _ROW_LIMIT, _ITERATION_LIMIT = int(Status.ROW_LIMIT), int(Status.ITERATION_LIMIT)
 _LOCKED, _INVERTED, _LIMIT_EXCEEDED = int(Status.LOCKED), int(Status.INVERTED), int(Status.LIMIT_EXCEEDED)
@@ -71,17 +82,21 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
     state.result[:] = 0.0
     lap(state.laps, state.time, OUTPUT)
     moved = drive(model, state, targets, h)
+    if model.hold > 1 and state.age[0] > 0 and turned_far(state):
+        state.age[0] = 0
     wanted, tolerance = model.relinearizations, model.tolerance
     if model.settles and not moved and model.method == NEWTON:
         tolerance *= _SETTLED
         if state.held_tets[0] > 0 and state.motion[0] * h < _SLOW * model.length:
             wanted = max(wanted, 1)
     contacts, rows, definite = linear_step(model, state, h, 0, tolerance)
+    moved_on = False
     for again in range(1, wanted + 1):
         if definite and bounded(state.v, _FARTHEST * model.length / h):
+            moved_on = True
             relinearise(model, state, targets, h, again)
             contacts, rows, definite = linear_step(model, state, h, again, tolerance)
-    if wanted > 0:
+    if moved_on:
         copy(state.x, state.x_start)
     if not (definite and bounded(state.v, _FARTHEST * model.length / h)):
         state.result[STATUS] = _REJECTED
@@ -113,7 +128,7 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
     if model.method == PGS and not unconstrained(model, state, h):  # v_free = A⁻¹ b
         return 0, 0, False
     since_linearised(state, again)
-    contacts = contact_rows(model, state, h) if model.has_plane else 0
+    contacts = contact_rows(model, state, h, again > 0) if model.has_plane else 0
     status = 0
     if contacts < 0:
         contacts, status = (state.lam.shape[0] // 3) * 3, _ROW_LIMIT
@@ -207,10 +222,13 @@ def bounded(v: Floats, bound: float) -> bool:
 def integrate(model: Model, state: State, targets: Floats, h: float) -> float:
     """Positions at the end of the step; driven nodes are at their targets exactly. Gives the largest speed."""
     x, v, driven = state.x, state.v, model.driven
-    fastest = total = 0.0
+    fastest = total = farthest = 0.0
+    a, b, c = state.origin[0], state.origin[1], state.origin[2]
     for n in range(x.shape[0]):
         w = load4(v, n, 0)
         store4(x, n, 0, load4(x, n, 0) + w * h)
+        p, q, r = x[n, 0] - a, x[n, 1] - b, x[n, 2] - c
+        farthest = max(farthest, p * p + q * q + r * r)
         square = sum3(w * w)
         fastest = max(fastest, square)
         total += square
@@ -218,6 +236,7 @@ def integrate(model: Model, state: State, targets: Floats, h: float) -> float:
         for i in range(3):
             x[driven[d], i] = targets[d, i]
     fastest = math.sqrt(fastest)
+    state.result[REACH] = math.sqrt(farthest)
     state.clearance[0] -= h * fastest
     state.motion[0] = math.sqrt(total / x.shape[0])
     return fastest

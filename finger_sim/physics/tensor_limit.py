@@ -60,7 +60,7 @@ _SIGN = (1.0, 1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0)
 DIRECTIONS = 3  # of them are eigenvectors
 _SWEEPS = 10  # of Jacobi's method: 3 to 4 in practice
 _ROUND_OFF = 1e-31  # off-diagonal part squared, of the whole, that ends them
-_LEAST_DET = 1e-6  # of tr(U) I − U, 8 at rest: it vanishes where s_a = −s_b
+_LEAST_DET = 1e-2  # of tr(U) I − U, 8 at rest: it vanishes where s_a = −s_b
 _NO_GRADIENT = 1e-20  # |J|² at free nodes, in units of the tetrahedra's size, of a row that nothing can move
 LEAST_ROOM = 1e-6  # rooms below count as this
 
