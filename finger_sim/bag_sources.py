@@ -121,6 +121,10 @@ _BROKEN = (McapError, struct.error, UnicodeDecodeError, OverflowError, MemoryErr
 """What the mcap library raises on bytes that are not what they claim to be."""
 
 
+class _NoHeaderError(BagError):
+    """A file that was cut off before anything was in it: of several files, the others can be read."""
+
+
 class _Damaged(Exception):
     """Bytes that are not whole MCAP records."""
 
@@ -162,8 +166,14 @@ class _McapSource:
         counts: Counter[tuple[str, str]] = Counter()
         lost: Counter[tuple[str, str]] = Counter()
         names: dict[tuple[str, str], None] = {}
+        last: dict[str, int] = {}
         for index, file in enumerate(self.files):
-            damage, numbers = self._scan(index)
+            try:
+                damage, numbers = self._scan(index, last)
+            except _NoHeaderError as error:
+                if len(self.files) == 1:
+                    raise
+                damage, numbers = str(error), {}
             if damage:
                 warnings.append(damage)
             used = [channel for channel in file.channels.values() if channel.message_encoding == "cdr"]
@@ -180,14 +190,16 @@ class _McapSource:
         self.warning = "; ".join(warnings) or None
         self.segments.sort(key=lambda segment: segment.start)
 
-    def _scan(self, index: int) -> tuple[str | None, dict[int, tuple[int, int]]]:
-        """Finds the segments of a file; returns what is wrong with its end, and per channel (count, lost)."""
+    def _scan(self, index: int, last: dict[str, int]) -> tuple[str | None, dict[int, tuple[int, int]]]:
+        """Finds the segments of a file; returns what is wrong with its end, and per channel (count, lost).
+
+        last : number of the last message of each topic, over all files
+        """
         file = self.files[index]
         size = file.path.stat().st_size
         if size == 0:
-            raise BagError(f"{file.path}: is empty")
+            raise _NoHeaderError(f"{file.path}: is empty")
         numbers: dict[int, tuple[int, int]] = {}
-        last: dict[int, int] = {}
         with file.path.open("rb") as stream:
             offset = _read_header(stream, file.path)
             while True:
@@ -204,9 +216,10 @@ class _McapSource:
                         continue
                     for channel, sequence, log_time, _, _ in self._read(stream, segment):
                         count, missing = numbers.get(channel, (0, 0))
-                        gap = sequence - last.get(channel, sequence - 1) - 1
+                        topic = file.channels[channel].topic
+                        gap = sequence - last.get(topic, sequence - 1) - 1
                         numbers[channel] = (count + 1, missing + max(gap, 0))
-                        last[channel] = sequence
+                        last[topic] = sequence
                         segment.start = min(segment.start, log_time)
                         segment.end = max(segment.end, log_time)
                 except _Damaged as damage:
@@ -280,7 +293,7 @@ def _read_header(stream: BinaryIO, path: Path) -> int:
     magic = stream.read(len(MAGIC))
     if magic != MAGIC:
         if MAGIC.startswith(magic):
-            raise BagError(f"{path}: cut off before its header, nothing can be read")
+            raise _NoHeaderError(f"{path}: cut off before its header, nothing can be read")
         raise BagError(f"{path}: not an MCAP file: starts with {magic!r}, must start with {MAGIC!r}")
     try:
         opcode, length = _read_record_head(stream, os.fstat(stream.fileno()).st_size - len(MAGIC))
@@ -288,7 +301,7 @@ def _read_header(stream: BinaryIO, path: Path) -> int:
             raise BagError(f"{path}: not an MCAP file: its first record is no header")
         header = Header.read(ReadDataStream(BytesIO(stream.read(length))))
     except (_Damaged, *_BROKEN):
-        raise BagError(f"{path}: cut off before its header, nothing can be read") from None
+        raise _NoHeaderError(f"{path}: cut off before its header, nothing can be read") from None
     if header.profile not in ("ros2", ""):
         raise BagError(f"{path}: holds messages of profile {header.profile!r}, allowed: 'ros2'")
     return len(MAGIC) + _RECORD.size + length

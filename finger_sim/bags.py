@@ -1,12 +1,13 @@
 """Bags without a ROS graph: write rosbag2 MCAP folders, read them (and sqlite3 ones), cut-off ones included.
 
-A bag is a folder `<name>/` with `<name>_0.mcap` and `metadata.yaml`, as rosbag2 Jazzy writes it. Times are
-integer nanoseconds: `log_time` is when a message was received, `publish_time` when it was sent.
+A bag is a folder `<name>/` with `<name>_0.mcap`, `<name>_1.mcap` … and `metadata.yaml`, as rosbag2 Jazzy writes
+it. Times are integer nanoseconds: `log_time` is when a message was received, `publish_time` when it was sent.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -83,6 +84,31 @@ class _Recorded:
     next_sequence: int = 1
 
 
+@dataclass
+class _Part:
+    """One file of a bag being written: the number of its messages, and their log times [ns]."""
+
+    file: Path
+    count: int = 0
+    begin: int = 0
+    """Of the first message written; clocks that jump back bring earlier ones after it."""
+    first: int = 2**64
+    last: int = 0
+
+    def add(self, log_time: int) -> None:
+        """One more message."""
+        if self.count == 0:
+            self.begin = log_time
+        self.count += 1
+        self.first, self.last = min(self.first, log_time), max(self.last, log_time)
+
+
+Compression = Literal["zstd", "lz4", "none"]
+"""Of chunks: zstd is smaller, lz4 takes less time, none is read by everyone."""
+
+_COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
+
+
 class BagWriter:
     """Writes one rosbag2 folder; use it in a `with` block, from one thread.
 
@@ -90,39 +116,42 @@ class BagWriter:
     system at once, so a process killed while messages come in loses no more than that. Where messages may
     stop coming, call `flush` on a clock of your own. The same input makes the same file, byte for byte.
 
-    path        : folder to make; BagError if it exists or cannot be made
-    compression : of the chunks, "zstd" or "none"
-    custom_data : words of yours for the bag's metadata, such as the scene it was made for
+    path          : folder to make; BagError if it exists or cannot be made
+    compression   : of the chunks
+    split_bytes   : a new file begins once one has that size; it has grown by up to a chunk more (1 MiB)
+    split_seconds : a new file begins with the first message that much log time away from the first of its file [s]
+    custom_data   : words of yours for the bag's metadata, such as the scene it was made for
     """
 
     def __init__(
         self,
         path: str | Path,
         *,
-        compression: Literal["zstd", "none"] = "zstd",
+        compression: Compression = "zstd",
+        split_bytes: float = math.inf,
+        split_seconds: float = math.inf,
         custom_data: Mapping[str, str] | None = None,
     ) -> None:
         self.path = Path(path)
         self.custom_data = dict(custom_data or {})
-        self.file = self.path / f"{self.path.name}_0.mcap"
+        self._compression, self._split_bytes, self._split_ns = compression, split_bytes, split_seconds * 1e9
         self._recorded: dict[str, _Recorded] = {}
         self._schemas: dict[str, int] = {}
-        self._span: tuple[int, int] | None = None
+        self._parts: list[_Part] = []
         self._chunk_start: int | None = None
         self._open = False
         require_absent(self.path)
         try:
             self.path.mkdir(parents=True)
-            self._stream = self.file.open("xb")
         except OSError as error:
             raise BagError(f"{self.path}: cannot be made: {error.strerror}") from None
+        self._begin_file()
         self._open = True
-        self._writer = _mcap_writer(self._stream, compression)
-        try:
-            self._writer.start(profile="ros2", library="finger_sim")
-            self._writer.flush()
-        except OSError as error:
-            raise self._failed(error) from None
+
+    @property
+    def files(self) -> list[Path]:
+        """Files begun so far."""
+        return [part.file for part in self._parts]
 
     @property
     def counts(self) -> dict[str, int]:
@@ -143,13 +172,8 @@ class BagWriter:
             return name
         self._require_open()
         qos = qos or Qos()
-        text, type_hash = cdr.definition(type)
         try:
-            if type not in self._schemas:
-                self._schemas[type] = self._writer.register_schema(type, "ros2msg", text.encode())
-            profiles = yaml.safe_dump([qos.as_rosbag2()], sort_keys=False).strip()
-            metadata = {"offered_qos_profiles": profiles, "topic_type_hash": type_hash}
-            channel = self._writer.register_channel(name, "cdr", self._schemas[type], metadata)
+            channel = self._register(name, type, qos)
         except OSError as error:
             raise self._failed(error) from None
         self._recorded[name] = _Recorded(channel, type, qos)
@@ -179,6 +203,9 @@ class BagWriter:
         if not (0 <= log_time < 2**64 and 0 <= sent < 2**64):
             raise BagError(f"{self.path}: topic {topic}: times must be 0 to 2^64 ns, got {log_time}, {sent}")
         number = recorded.next_sequence if sequence is None else sequence
+        if self._parts[-1].count and self._full(log_time):
+            self._finish_file()
+            self._begin_file()
         try:
             if self._chunk_start is not None and abs(log_time - self._chunk_start) >= FLUSH_PERIOD * 1e9:
                 self.flush()
@@ -195,8 +222,7 @@ class BagWriter:
             raise self._failed(error) from None
         recorded.next_sequence = number + 1
         recorded.count += 1
-        first, last = self._span or (log_time, log_time)
-        self._span = (min(first, log_time), max(last, log_time))
+        self._parts[-1].add(log_time)
 
     def flush(self) -> None:
         """Finishes the current chunk and hands it to the operating system: all so far survives a kill."""
@@ -211,15 +237,10 @@ class BagWriter:
         """Writes index and metadata.yaml and closes; closing again does nothing."""
         if not self._open:
             return
-        information = self._information()
+        self._finish_file()
+        self._open = False
         try:
-            self._writer.flush()
-            text = yaml.safe_dump(information, sort_keys=False)
-            self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
-            self._writer.finish()
-            self._stream.close()
-            self._open = False
-            whole = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
+            whole = yaml.safe_dump({"rosbag2_bagfile_information": self._information()}, sort_keys=False)
             unfinished = self.path / "metadata.yaml.tmp"
             unfinished.write_text(whole, encoding="utf-8")
             unfinished.replace(self.path / "metadata.yaml")
@@ -249,6 +270,53 @@ class BagWriter:
         if not self._open:
             raise BagError(f"{self.path}: the bag is closed")
 
+    def _begin_file(self) -> None:
+        """Makes the next file and announces in it what was announced before."""
+        part = _Part(self.path / f"{self.path.name}_{len(self._parts)}.mcap")
+        self._parts.append(part)
+        self._chunk_start = None
+        self._schemas.clear()
+        try:
+            self._stream = part.file.open("xb")
+        except OSError as error:
+            self._open = False
+            raise BagError(f"{part.file}: cannot be made: {error.strerror}") from None
+        try:
+            self._writer = _mcap_writer(self._stream, self._compression)
+            self._writer.start(profile="ros2", library="finger_sim")
+            self._writer.flush()
+            for name, recorded in self._recorded.items():
+                recorded.channel_id = self._register(name, recorded.type, recorded.qos)
+        except OSError as error:
+            raise self._failed(error) from None
+
+    def _finish_file(self) -> None:
+        """Writes the rest of a file, the bag's metadata up to its end, and the index."""
+        try:
+            self._writer.flush()
+            text = yaml.safe_dump(self._information(), sort_keys=False)
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
+            self._writer.finish()
+            self._stream.close()
+        except OSError as error:
+            raise self._failed(error) from None
+
+    def _register(self, name: str, type: str, qos: Qos) -> int:
+        """Announces a topic in the present file; its channel there."""
+        text, type_hash = cdr.definition(type)
+        if type not in self._schemas:
+            self._schemas[type] = self._writer.register_schema(type, "ros2msg", text.encode())
+        profiles = yaml.safe_dump([qos.as_rosbag2()], sort_keys=False).strip()
+        metadata = {"offered_qos_profiles": profiles, "topic_type_hash": type_hash}
+        channel: int = self._writer.register_channel(name, "cdr", self._schemas[type], metadata)
+        return channel
+
+    def _full(self, log_time: int) -> bool:
+        """Whether a message of that time belongs into a new file."""
+        if abs(log_time - self._parts[-1].begin) >= self._split_ns:
+            return True
+        return self._stream.tell() >= self._split_bytes
+
     def _drop(self) -> None:
         """Closes the file; what could not be written is lost, the chunks before it are on the disk."""
         self._open = False
@@ -258,18 +326,17 @@ class BagWriter:
     def _failed(self, error: OSError) -> BagError:
         self._drop()
         reason = error.strerror or str(error)
-        return BagError(f"{self.file}: cannot be written: {reason}; what was recorded before stays readable")
+        return BagError(f"{self._parts[-1].file}: cannot be written: {reason}; what was recorded before stays readable")
 
     def _information(self) -> dict[str, Any]:
         """rosbag2's bag information, metadata version 9."""
-        first, last = self._span or (2**63 - 1, 2**63 - 1)
-        count = sum(recorded.count for recorded in self._recorded.values())
-        start, duration = {"nanoseconds_since_epoch": first}, {"nanoseconds": last - first}
+        count = sum(part.count for part in self._parts)
+        times = _times(self._parts)
         return {
             "version": 9,
             "storage_identifier": "mcap",
-            "duration": duration,
-            "starting_time": start,
+            "duration": times["duration"],
+            "starting_time": times["starting_time"],
             "message_count": count,
             "topics_with_message_count": [
                 {
@@ -286,18 +353,19 @@ class BagWriter:
             ],
             "compression_format": "",
             "compression_mode": "",
-            "relative_file_paths": [self.file.name],
-            "files": [
-                {
-                    "path": self.file.name,
-                    "starting_time": dict(start),
-                    "duration": dict(duration),
-                    "message_count": count,
-                }
-            ],
+            "relative_file_paths": [part.file.name for part in self._parts],
+            "files": [{"path": part.file.name, **_times([part]), "message_count": part.count} for part in self._parts],
             "custom_data": self.custom_data or None,
             "ros_distro": "jazzy",
         }
+
+
+def _times(parts: Sequence[_Part]) -> dict[str, Any]:
+    """Start and duration of files in rosbag2's words; 2^63 - 1 and 0 where there is no message."""
+    used = [part for part in parts if part.count]
+    first = min((part.first for part in used), default=2**63 - 1)
+    last = max((part.last for part in used), default=first)
+    return {"starting_time": {"nanoseconds_since_epoch": first}, "duration": {"nanoseconds": last - first}}
 
 
 def require_absent(path: str | Path) -> None:
@@ -306,9 +374,9 @@ def require_absent(path: str | Path) -> None:
         raise BagError(f"{path}: exists already; give another name or remove it")
 
 
-def _mcap_writer(stream: BinaryIO, compression: str) -> Any:
+def _mcap_writer(stream: BinaryIO, compression: Compression) -> Any:
     """The mcap library's writer; Any because its methods carry no types."""
-    return Writer(stream, compression=CompressionType.ZSTD if compression == "zstd" else CompressionType.NONE)
+    return Writer(stream, compression=_COMPRESSIONS[compression])
 
 
 def write_commands(

@@ -148,6 +148,26 @@ def _info(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _compare(options: argparse.Namespace) -> int:
+    import json
+
+    from .compare import compare, verdict
+    from .console import console, say
+    from .resources import find_bag
+
+    found = compare(
+        find_bag(options.a), find_bag(options.b),
+        topics=options.topic, tolerance=options.tolerance, overlap=options.overlap,
+    )  # fmt: skip
+    for warning in found.warnings:
+        say(f"finger_sim: warning: {warning}")
+    if options.json:
+        print(json.dumps(found.as_plain(), indent=2, allow_nan=False))
+    else:
+        console().print(*verdict(found), sep="\n")
+    return DONE if found.equal else FAILED
+
+
 def _mesh(options: argparse.Namespace) -> int:
     from .bags import require_absent
     from .console import console
@@ -301,6 +321,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_import(verbs)
     info = _verb(verbs, "info", _info, "what a scene, a bag or a mesh holds", "finger_sim info press_slide")
     info.add_argument("what", metavar="SCENE|BAG|MESH", help="file, folder, or name of a shipped one")
+    _add_compare(verbs)
     _add_mesh(verbs)
     _add_bench(verbs)
     _add_figures(verbs)
@@ -433,6 +454,29 @@ def _add_import(verbs: Any) -> None:
         metavar="COLUMN",
         help="column that numbers repeats in which t starts anew: play them one after another",
     )
+
+
+def _add_compare(verbs: Any) -> None:
+    compare = _verb(
+        verbs,
+        "compare",
+        _compare,
+        "how two bags differ; exit code 0: equal, 1: not, 2: a mistake",
+        "finger_sim compare before after --topic contact_wrench --tolerance 0.01 --overlap",
+    )
+    add = compare.add_argument
+    add("a", metavar="A", help="bag")
+    add("b", metavar="B", help="bag to compare with it, at the same log times")
+    add("--topic", action="append", help="topic to compare; may be repeated (default: all of either)")
+    add(
+        "--tolerance",
+        type=_tolerance,
+        metavar="X",
+        help="largest difference of wrenches, poses, clouds and meshes that is equal, in N, N·m, m, rad; "
+        "other topics do not count then (default: all the same, bit by bit)",
+    )
+    add("--overlap", action="store_true", help="with --tolerance: count only times that both bags hold")
+    add("--json", action="store_true", help="JSON instead of a table")
 
 
 def _add_mesh(verbs: Any) -> None:
@@ -597,6 +641,16 @@ def _positive(text: str) -> float:
         value = 0.0
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"got {text!r}, allowed: a finite number > 0")
+    return value
+
+
+def _tolerance(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"got {text!r}, allowed: a finite number >= 0")
     return value
 
 

@@ -85,7 +85,9 @@ def run(
     """Simulates the commands of `bag` and writes what the node would publish to the new bag `out`.
 
     The newest command received up to the beginning of a step holds during it; the first one places the finger
-    at rest. The commands are copied as they were read, those that are refused too.
+    at rest. The commands are copied as they were read, those that are refused too: replayed, `out` gives itself.
+    A bag that the node recorded from its first command on gives the live wrench back but for where steps begin:
+    what is live at a time is here within two steps of it. Of one that began later the history is not known.
 
     topic     : of the commands; see `bags.read_commands`
     progress  : called after every step

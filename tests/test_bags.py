@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
+import shutil
 import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -27,7 +30,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from finger_sim import cdr
-from finger_sim.bags import FLUSH_PERIOD, BagReader, BagWriter, Qos, read_commands
+from finger_sim.bags import FLUSH_PERIOD, BagReader, BagWriter, Compression, Qos, read_commands
 from finger_sim.errors import BagError
 from finger_sim.layout import POINT_DTYPE
 
@@ -319,6 +322,217 @@ def test_chunks_span_no_more_than_the_flush_period(tmp_path: Path) -> None:
     assert len(summary.chunk_indexes) == 4
 
 
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_chunks_are_compressed_as_asked(tmp_path: Path, compression: Compression) -> None:
+    """The file says so in every chunk, other readers and we read it alike, cut off too."""
+    with BagWriter(tmp_path / "bag", compression=compression) as bag:
+        bag.add_topic("command_pose", cdr.POSE_STAMPED)
+        for k in range(1000):
+            bag.write("command_pose", pose(k), START + k * PERIOD)
+    with mcap_file(tmp_path / "bag").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+        assert summary is not None
+        assert {c.compression for c in summary.chunk_indexes} == {"" if compression == "none" else compression}
+        decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        assert [ros.pose.position.x for *_, ros in decoded] == [0.001 * k for k in range(1000)]
+    size = mcap_file(tmp_path / "bag").stat().st_size
+    assert (size > 100_000) == (compression == "none")
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert [bytes(raw) for _, _, raw in reader.messages()] == [pose(k) for k in range(1000)]
+    assert [m.data for m in BagReader(tmp_path / "bag")] == [pose(k) for k in range(1000)]
+    os.truncate(mcap_file(tmp_path / "bag"), size // 2)
+    assert 250 <= BagReader(tmp_path / "bag").message_count < 1000
+    data = bytearray(mcap_file(tmp_path / "bag").read_bytes())
+    data[size // 4 : size // 4 + 8] = b"\xff" * 8
+    mcap_file(tmp_path / "bag").write_bytes(data)
+    assert BagReader(tmp_path / "bag").truncated
+
+
+def split(path: Path, n: int = 1000, **options: float) -> Path:
+    """A bag of n poses and, first of all, one latched mesh; the pose with number 501 was lost on the way."""
+    with BagWriter(path, compression="none", **options) as bag:  # type: ignore[arg-type]
+        bag.add_topic("mesh_topology", cdr.MESH, qos=Qos(depth=1, transient_local=True))
+        bag.add_topic("command_pose", cdr.POSE_STAMPED)
+        bag.write("mesh_topology", cdr.mesh(np.eye(3), np.array([[0, 1, 2]])), START)
+        for k in range(n):
+            bag.write("command_pose", pose(k), START + k * PERIOD, sequence=k + 1 + (k >= 500))
+    return path
+
+
+def test_split_by_time_is_read_as_one_bag(tmp_path: Path) -> None:
+    """Four files of half a second, each whole in itself; metadata.yaml names all, as rosbag2's does."""
+    path = split(tmp_path / "bag", split_seconds=0.5)
+    names = [f"bag_{i}.mcap" for i in range(4)]
+    assert sorted(file.name for file in path.iterdir()) == [*names, "metadata.yaml"]
+    information = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert information["relative_file_paths"] == names
+    assert [f["path"] for f in information["files"]] == names
+    assert [f["message_count"] for f in information["files"]] == [251, 250, 250, 250]
+    starts = [START + i * 500_000_000 for i in range(4)]
+    assert [f["starting_time"]["nanoseconds_since_epoch"] for f in information["files"]] == starts
+    assert {f["duration"]["nanoseconds"] for f in information["files"]} == {498_000_000}
+    assert information["starting_time"] == {"nanoseconds_since_epoch": START}
+    assert information["duration"] == {"nanoseconds": 1_998_000_000}
+    assert information["message_count"] == 1001
+    for i, name in enumerate(names):
+        with (path / name).open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+            times = [message.log_time for *_, message, _ in reader.iter_decoded_messages(topics=["/command_pose"])]
+            (record,) = reader.iter_metadata()
+        assert times == [START + (250 * i + k) * PERIOD for k in range(250)]
+        assert yaml.safe_load(record.metadata["serialized_metadata"])["message_count"] == 251 + 250 * i
+    with AnyReader([path]) as other:
+        assert other.message_count == 1001
+        assert {c.topic: c.msgcount for c in other.connections} == {"/mesh_topology": 1, "/command_pose": 1000}
+        found = [bytes(raw) for c, _, raw in other.messages() if c.topic == "/command_pose"]
+    assert found == [pose(k) for k in range(1000)]
+    ours = BagReader(path)
+    assert ours.warning is None
+    assert {t.name: (t.count, t.lost) for t in ours.topics} == {"/mesh_topology": (1, 0), "/command_pose": (1000, 1)}
+    assert [m.data for m in ours.messages(["command_pose"])] == found
+
+
+def test_split_by_size_bounds_the_files(tmp_path: Path) -> None:
+    """No file is larger than the size asked for plus a chunk of half a second; the last begins where it must."""
+    path = split(tmp_path / "bag", n=2000, split_bytes=60_000)
+    sizes = [file.stat().st_size for file in sorted(path.glob("*.mcap"))]
+    chunk = 250 * (len(pose(0)) + 60)
+    assert len(sizes) >= 4
+    assert all(60_000 <= size < 60_000 + chunk + 20_000 for size in sizes[:-1])
+    with AnyReader([path]) as reader:
+        assert reader.message_count == 2001
+
+
+def test_a_split_bag_that_was_killed_is_read(tmp_path: Path) -> None:
+    """No metadata.yaml, the last file cut off, or made and still empty: all that came before is there."""
+    path = split(tmp_path / "bag", split_seconds=0.5)
+    (path / "metadata.yaml").unlink()
+    for size, count in ((20_000, 751), (5, 751), (0, 751)):
+        os.truncate(path / "bag_3.mcap", size)
+        reader = BagReader(path)
+        assert reader.message_count == count
+        assert "bag_3.mcap" in str(reader.warning)
+        assert len(list(reader)) == count
+
+
+def test_many_writers_to_one_path_make_one_bag(tmp_path: Path) -> None:
+    """Of eight threads that begin at once exactly one gets the path, whether its parent is there or not."""
+    for round_ in range(20):
+        path = tmp_path / str(round_) / "bag"
+        made, refused = _race(path)
+        (bag,) = made
+        assert len(refused) == 7
+        assert all("exists" in reason and str(path) in reason for reason in refused)
+        bag.add_topic("command_pose", cdr.POSE_STAMPED)
+        bag.write("command_pose", pose(0), START)
+        bag.close()
+        assert BagReader(path).message_count == 1
+
+
+def _race(path: Path) -> tuple[list[BagWriter], list[str]]:
+    """Eight threads make a bag at `path` at once: the writers that were made, and the reasons of the others."""
+    made: list[BagWriter] = []
+    refused: list[str] = []
+    gate = threading.Barrier(8)
+
+    def begin() -> None:
+        gate.wait()
+        try:
+            made.append(BagWriter(path))
+        except BagError as error:
+            refused.append(str(error))
+
+    threads = [threading.Thread(target=begin) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return made, refused
+
+
+def test_clocks_that_jump_lose_nothing(tmp_path: Path) -> None:
+    """An hour back, a day on: all is read in the order of its times, chunks stay short, the span is told right."""
+    hour, day = 3_600 * 10**9, 86_400 * 10**9
+    times = [START + k * PERIOD + jump for jump in (0, -hour, day) for k in range(300)]
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("command_pose", cdr.POSE_STAMPED)
+        for k, time_ in enumerate(times):
+            bag.write("command_pose", pose(k), time_)
+        bag.flush()
+        assert BagReader(tmp_path / "bag").message_count == 900
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert [time_ for _, time_, _ in reader.messages()] == sorted(times)
+        assert (reader.start_time, reader.end_time - 1) == (min(times), max(times))
+    assert [m.log_time for m in BagReader(tmp_path / "bag")] == sorted(times)
+    information = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert information["duration"]["nanoseconds"] == max(times) - min(times)
+    with mcap_file(tmp_path / "bag").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert max(c.message_end_time - c.message_start_time for c in summary.chunk_indexes) < FLUSH_PERIOD * 1e9
+
+
+MCAP_CORE = """
+const { McapIndexedReader } = require("@mcap/core");
+const { parse } = require("@foxglove/rosmsg");
+const { MessageReader } = require("@foxglove/rosmsg2-serialization");
+const { FileHandleReadable } = require("@mcap/nodejs");
+const { open } = require("fs/promises");
+const fzstd = require("fzstd");
+const lz4 = require("lz4js");
+const decompressHandlers = {
+  zstd: (data, size) => fzstd.decompress(data, new Uint8Array(Number(size))),
+  lz4: (data) => lz4.decompress(data),
+};
+(async () => {
+  const readable = new FileHandleReadable(await open(process.argv[1], "r"));
+  const reader = await McapIndexedReader.Initialize({ readable, decompressHandlers });
+  const readers = new Map();
+  const out = { profile: reader.header.profile, count: Number(reader.statistics.messageCount), x: [], times: [] };
+  for await (const message of reader.readMessages()) {
+    const channel = reader.channelsById.get(message.channelId);
+    const schema = reader.schemasById.get(channel.schemaId);
+    if (!readers.has(schema.id)) {
+      const definition = parse(new TextDecoder().decode(schema.data), { ros2: true });
+      readers.set(schema.id, new MessageReader(definition));
+    }
+    out.x.push(readers.get(schema.id).readMessage(message.data).pose.position.x);
+    out.times.push(String(message.logTime));
+  }
+  console.log(JSON.stringify(out));
+})();
+"""
+
+
+def node_finds_mcap() -> bool:
+    """Whether node is here and finds @mcap/core and what it needs; NODE_PATH may name a folder of modules."""
+    if shutil.which("node") is None:
+        return False
+    names = ("@mcap/core", "@mcap/nodejs", "@foxglove/rosmsg", "@foxglove/rosmsg2-serialization", "fzstd", "lz4js")
+    probe = "".join(f"require.resolve('{name}');" for name in names)
+    return subprocess.run(["node", "-e", probe], capture_output=True).returncode == 0
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_mcap_core_of_npm_reads_what_was_written(tmp_path: Path, compression: Compression) -> None:
+    """Foxglove's reader, in JavaScript: profile, values and times, decoded with the schema in the file."""
+    if not node_finds_mcap():
+        pytest.skip(
+            "needs node, and NODE_PATH with @mcap/core @mcap/nodejs @foxglove/rosmsg2-serialization fzstd lz4js"
+        )
+    with BagWriter(tmp_path / "bag", compression=compression) as bag:
+        bag.add_topic("command_pose", cdr.POSE_STAMPED)
+        for k in range(600):
+            bag.write("command_pose", pose(k), START + k * PERIOD)
+    command = ["node", "-e", MCAP_CORE, str(mcap_file(tmp_path / "bag"))]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found["profile"], found["count"]) == ("ros2", 600)
+    assert found["x"] == [0.001 * k for k in range(600)]
+    assert [int(time_) for time_ in found["times"]] == [START + k * PERIOD for k in range(600)]
+
+
 FILL_DISK = """
 import resource, sys
 from finger_sim import cdr
@@ -351,6 +565,27 @@ def test_full_disk_is_told_and_the_rest_stays_readable(tmp_path: Path) -> None:
     assert "closed" in second
     assert int(count) >= 250
     assert BagReader(path).truncated
+
+
+def test_a_disk_that_fills_up_between_two_files_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """/dev/full stands for the second file: the error names it and the reason; the first file is whole."""
+    real = Path.open
+    monkeypatch.setattr(
+        Path, "open", lambda path, *mode: real(Path("/dev/full") if path.stem == "bag_1" else path, "wb")
+    )
+    bag = BagWriter(tmp_path / "bag", split_seconds=0.5)
+    bag.add_topic("command_pose", cdr.POSE_STAMPED)
+    for k in range(250):
+        bag.write("command_pose", pose(k), START + k * PERIOD)
+    with pytest.raises(BagError, match=r"bag_1.mcap: cannot be written: No space left on device"):
+        bag.write("command_pose", pose(250), START + 250 * PERIOD)
+    assert bag.counts == {"/command_pose": 250}
+    with pytest.raises(BagError, match="closed"):
+        bag.write("command_pose", pose(0), START)
+    monkeypatch.undo()
+    with mcap_file(tmp_path / "bag").open("rb") as stream:
+        assert sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages()) == 250
+    assert BagReader(tmp_path / "bag").warning is None
 
 
 def test_existing_and_impossible_outputs_are_refused(tmp_path: Path) -> None:

@@ -18,7 +18,9 @@ from finger_sim.cdr import POSE_STAMPED, pose_stamped
 from finger_sim.cli import main
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-VERBS = ("demo", "run", "play", "import", "info", "mesh", "bench", "figures", "stress", "tradeoff", "node")
+VERBS = (
+    "demo", "run", "play", "import", "info", "compare", "mesh", "bench", "figures", "stress", "tradeoff", "node",
+)  # fmt: skip
 SCENE = """
 mesh: {beam: {size: [0.02, 0.01, 0.01], cells: [2, 1, 1]}}
 driven: {box: [[-1, -1, 0.0099], [1, 1, 1]]}

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
+import resource
 import signal
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_helpers import Client, NodeProcess, command, write_block
+from rosbags.rosbag2 import Reader as RosbagsReader
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from std_srvs.srv import SetBool, Trigger
@@ -274,6 +278,92 @@ def test_recordings_on_and_off_twice(client):
             reader = make_reader(stream, decoder_factories=[DecoderFactory()])
             wrenches = [ros for *_, ros in reader.iter_decoded_messages(topics=["/contact_wrench"])]
         assert max(force(w)[2] for w in wrenches) > 0.5
+
+
+def test_a_hundred_recordings_leave_nothing_behind(client, node):
+    """Each bag is whole and holds what its answer says; no thread, no open file and no lost number is left over."""
+    assert client.set("record_compression", "lz4").successful
+    assert client.set("record_split_time", 0.02).successful
+    record = lambda on: client.call(SetBool, "/finger/record", SetBool.Request(data=on)).message  # noqa: E731
+    record(True)
+    record(False)
+    process = Path(f"/proc/{node.process.pid}")
+    held = lambda: sum(len(list((process / what).iterdir())) for what in ("fd", "task"))  # noqa: E731
+    before = held()
+    answers = []
+    for _ in range(100):
+        record(True)
+        answers.append(record(False))
+    assert held() < before + 10
+    found = [re.fullmatch(r"(.*): (\d+) messages, 0 dropped", answer) for answer in answers]
+    assert all(found)
+    assert len({match[1] for match in found}) == 100
+    for i, match in enumerate(found):
+        reader = BagReader(match[1])
+        assert reader.warning is None
+        assert reader.message_count == int(match[2]) > 0
+        assert all(topic.lost == 0 for topic in reader.topics)
+        if i % 10 == 0:  # rosbags takes its time to begin
+            with RosbagsReader(match[1]) as other:
+                assert other.message_count == int(match[2])
+    assert client.set("record_compression", "zstd").successful
+    assert client.set("record_split_time", 0.0).successful
+
+
+def test_a_long_recording_goes_on_in_new_files(client):
+    """As record_split_size and record_split_time ask; rosbags reads them as one bag."""
+    for name, value, most in (("record_split_time", 0.25, 0.26), ("record_split_size", 0.02, 2.0)):
+        assert client.set(name, value).successful
+        answer = client.call(SetBool, "/finger/record", SetBool.Request(data=True))
+        path = Path(answer.message.removeprefix("recording "))
+        client.until(lambda path=path: len(list(path.glob("*.mcap"))) >= 3, lambda: client.command(-0.0003))
+        assert client.call(SetBool, "/finger/record", SetBool.Request(data=False)).success
+        assert client.set(name, 0.0).successful
+        with RosbagsReader(path) as reader:
+            count = sum(1 for _ in reader.messages())
+        files = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]["files"]
+        assert [file["path"] for file in files] == [f"{path.name}_{i}.mcap" for i in range(len(files))]
+        assert len(files) == len(list(path.glob("*.mcap"))) >= 3
+        assert all(file["duration"]["nanoseconds"] <= most * 1e9 for file in files)
+        assert sum(file["message_count"] for file in files) == count
+        assert all(topic.lost == 0 for topic in BagReader(path).topics)
+
+
+def test_a_full_disk_ends_the_recording_not_the_node(client, node):
+    """Diagnostics, log and service say why; what was written is readable; with room again recording works again.
+
+    A limit on the size of the node's files stands for the disk: the system refuses to write beyond it.
+    """
+    assert client.set("record_compression", "none").successful
+    answer = client.call(SetBool, "/finger/record", SetBool.Request(data=True))
+    path = Path(answer.message.removeprefix("recording "))
+    before = resource.prlimit(node.process.pid, resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
+    try:
+        press = lambda: client.command(-0.0003)  # noqa: E731
+        client.until(lambda: "recording stopped" in client.reports[-1].status[0].message, press)
+        status, values = client.report(press)
+    finally:
+        resource.prlimit(node.process.pid, resource.RLIMIT_FSIZE, before)
+    assert status.level == DiagnosticStatus.ERROR
+    assert f"{path / path.name}_0.mcap" in status.message
+    assert "File too large" in status.message
+    assert values["recording"] == "off"
+    node.wait_for("File too large")
+    answer = client.call(SetBool, "/finger/record", SetBool.Request(data=False))
+    assert not answer.success
+    assert "File too large" in answer.message
+    reader = BagReader(path)
+    assert reader.truncated
+    assert {t.name: t.count for t in reader.topics}["/contact_wrench"] > 50
+    assert all(topic.lost == 0 for topic in reader.topics)
+    _, later = client.report(press)
+    assert int(later["steps"]) > int(values["steps"]) + 50
+    assert client.set("record_compression", "zstd").successful
+    assert client.call(SetBool, "/finger/record", SetBool.Request(data=True)).success
+    status, values = client.report(press)
+    assert "recording stopped" not in status.message
+    assert values["recording"] != "off"
+    assert client.call(SetBool, "/finger/record", SetBool.Request(data=False)).success
 
 
 def test_a_recording_that_cannot_start_says_why(client):

@@ -8,12 +8,14 @@ writes the bag.
 from __future__ import annotations
 
 import gc
+import math
 import os
 import signal
 import sys
 import threading
 import time
 from concurrent.futures import CancelledError, Future
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
+from ..bags import BagWriter
 from ..errors import FingerSimError, SceneError
 from ..scene import Scene
 from . import parameters
@@ -73,7 +76,7 @@ class FingerNode(Node):  # type: ignore[misc]
         )
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
-        if options.record and Path(options.record).exists():
+        if options.record and os.path.lexists(_bag_path(options.record)):
             raise SceneError("record", options.record, "a path that does not exist yet")
 
     def run(self, stop: threading.Event) -> int:
@@ -135,10 +138,10 @@ class FingerNode(Node):  # type: ignore[misc]
         self._outputs.send("/diagnostics", serialize_message(report))
 
     def _on_command(self, data: bytes) -> None:
-        received, stamp = time.monotonic(), time.time_ns()
+        received = time.monotonic_ns()
         recorder = self._outputs.recorder
         if recorder is not None:
-            recorder.put(self._commands.topic_name, data, stamp)
+            recorder.put(self._commands.topic_name, data, received)
         pose = check_command(deserialize_message(data, PoseStamped), self._outputs.options.world_frame)
         if isinstance(pose, str):
             if self._refusals.count == 0:
@@ -146,7 +149,7 @@ class FingerNode(Node):  # type: ignore[misc]
             self._refusals.count += 1
             self._refusals.reason = pose
         else:
-            self._stepper.newest = Command(pose, received)
+            self._stepper.newest = Command(pose, 1e-9 * received)
 
     def _on_set(self, given: list[Any]) -> SetParametersResult:
         try:
@@ -171,14 +174,15 @@ class FingerNode(Node):  # type: ignore[misc]
         recorder = self._outputs.recorder
         recording = recorder is not None and recorder.active
         try:
-            if request.data == recording:
-                raise FingerSimError(
-                    f"recording already: {recorder.path}" if recorder and recording else "nothing is being recorded"
-                )
+            if request.data and recorder and recording:
+                raise FingerSimError(f"recording already: {recorder.path}")
+            if not request.data and not recording:
+                why = f": {recorder.summary()}" if recorder and recorder.error else ""
+                raise FingerSimError(f"nothing is being recorded{why}")
             if not self._loop.ready:
                 raise FingerSimError(f"not ready: {self._progress}")
             if request.data:
-                recorder = self._record(_free_name(Path(self._outputs.options.record_directory)))
+                recorder = self._record(_free_name(_bag_path(self._outputs.options.record_directory)))
                 response.success, response.message = True, f"recording {recorder.path}"
             elif recorder is not None:
                 recorder.close()
@@ -190,7 +194,14 @@ class FingerNode(Node):  # type: ignore[misc]
     def _record(self, path: str | Path) -> Recorder:
         command = Topic(self._commands.topic_name, "geometry_msgs/msg/PoseStamped", COMMAND_QOS)
         topics = [*self._outputs.recorded_topics(), command]
-        recorder = Recorder(Path(path).expanduser().absolute(), topics, self._outputs.options.record_queue)
+        options = self._outputs.options
+        writer = partial(
+            BagWriter,
+            compression=options.record_compression,
+            split_bytes=1e6 * options.record_split_size or math.inf,
+            split_seconds=options.record_split_time or math.inf,
+        )
+        recorder = Recorder(_bag_path(path), topics, options.record_queue, writer, self.get_logger().error)
         self._outputs.start_recording(recorder)
         return recorder
 
@@ -202,6 +213,11 @@ class FingerNode(Node):  # type: ignore[misc]
             answer.cancel()
             reason = "the loop is stalled" if self._loop.ready else f"not ready: {self._progress}"
             raise FingerSimError(reason) from None
+
+
+def _bag_path(path: str | Path) -> Path:
+    """Where a bag of that name lies."""
+    return Path(path).expanduser().absolute()
 
 
 def _free_name(folder: Path) -> Path:

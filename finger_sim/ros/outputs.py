@@ -104,7 +104,7 @@ class Outputs:
 
     def start_recording(self, recorder: Recorder) -> None:
         """Records from now on, beginning with the topology that late listeners get too."""
-        recorder.put(self._names["mesh_topology"], self.topology, time.time_ns())
+        recorder.put(self._names["mesh_topology"], self.topology, time.monotonic_ns())
         self.recorder = recorder
 
     def send(self, topic: str, data: bytes) -> None:
@@ -112,7 +112,7 @@ class Outputs:
         self._publishers[topic].publish(data)
         recorder = self.recorder
         if recorder is not None and topic != "mesh_marker":
-            recorder.put(self._names[topic], data, time.time_ns())
+            recorder.put(self._names[topic], data, time.monotonic_ns())
 
     def step(self, sim: Simulator, out: StepResult, device_wrench: Floats, stamp: int) -> None:
         """Sends what a step brought; `stamp` is its time [ns]."""

@@ -9,12 +9,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter as RosParameter
 
+from ..bags import Compression
 from ..fields import Field, field, parse_part, specs
 from ..layout import WRENCH_FRAMES
 from ..scene import Parameter, Scene
@@ -86,6 +87,31 @@ class NodeOptions:
     )
     record: str = field("text", "Bag to record from the start to its end; empty: none", default="")
     record_directory: str = field("text", "Where ~/record makes its bags", default=".", live=True)
+    record_compression: Compression = field(
+        "choice",
+        "Of the chunks of a bag; a change holds from the next recording on, as those of record_split_… do",
+        default="zstd",
+        choices=get_args(Compression),
+        live=True,
+    )
+    record_split_size: float = field(
+        "float",
+        "Size at which a recording goes on in a new file; 0: never",
+        default=0.0,
+        unit="MB",
+        low=0.0,
+        high=1e6,
+        live=True,
+    )
+    record_split_time: float = field(
+        "float",
+        "Time after which a recording goes on in a new file; 0: never",
+        default=0.0,
+        unit="s",
+        low=0.0,
+        high=1e6,
+        live=True,
+    )
     record_queue: int = field(
         "int",
         "Messages that may wait for the disk; more are dropped and counted",

@@ -2,6 +2,9 @@
 
 Nobody who hands over a message ever waits for the disk. When the queue is full, whole messages are dropped
 and counted; each message gets its sequence number on arrival, so that a loss shows as a gap in the bag.
+
+Log times count on the steady clock from the wall clock's time at the start: when that jumps, the order and the
+distances of messages stay true.
 """
 
 from __future__ import annotations
@@ -44,6 +47,7 @@ class Recorder:
     topics   : announced in this order
     capacity : messages that may wait
     writer   : makes the BagWriter
+    failed   : is told why, from the recorder's thread, when the disk ends the recording
     """
 
     def __init__(
@@ -52,11 +56,13 @@ class Recorder:
         topics: Sequence[Topic],
         capacity: int,
         writer: Callable[[str | Path], BagWriter] = BagWriter,
+        failed: Callable[[str], object] = lambda _: None,
     ) -> None:
         self.written = 0
         self.dropped = 0
         self.error: str | None = None
-        self._capacity = capacity
+        self._capacity, self._failed = capacity, failed
+        self._zero = time.time_ns() - time.monotonic_ns()
         self._sequences = {topic.name: 0 for topic in topics}
         self._queue: deque[_Record] = deque()
         self._lock = threading.Lock()
@@ -77,14 +83,14 @@ class Recorder:
         """Whether messages are still taken."""
         return self.error is None and not self._closing.is_set()
 
-    def put(self, topic: str, data: bytes, log_time: int) -> bool:
-        """Hands over one message of CDR bytes received at `log_time` [ns]; False if it was dropped."""
+    def put(self, topic: str, data: bytes, received: int) -> bool:
+        """Hands over one message of CDR bytes received at a steady time [ns]; False if it was dropped."""
         with self._lock:
             sequence = self._sequences[topic] = self._sequences[topic] + 1
             if not self.active or len(self._queue) >= self._capacity:
                 self.dropped += self.active
                 return False
-            self._queue.append(_Record(topic, data, log_time, sequence))
+            self._queue.append(_Record(topic, data, self._zero + received, sequence))
             return True
 
     def close(self, timeout: float = 5.0) -> None:
@@ -111,9 +117,11 @@ class Recorder:
                     flushed = time.monotonic()
             self._drain()
             self._bag.close()
-        except (BagError, OSError, ValueError) as error:
-            self.error = str(error)
+        except Exception as error:
+            self.error = str(error) if isinstance(error, BagError) else f"{self.path}: {error!r}"
             self._queue.clear()
+            self._bag.abort()
+            self._failed(f"recording stopped: {self.error}")
 
     def _drain(self) -> None:
         """Writes what waits at this moment."""
