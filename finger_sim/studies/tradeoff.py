@@ -161,7 +161,7 @@ class TimeLeft:
         if now < self._due and self._done < self._count:
             return
         self._due = now + LINE_PERIOD
-        left = (now - self._begun) * (self._total / self._cost - 1.0)
+        left = max(0.0, (now - self._begun) * (self._total / self._cost - 1.0))
         say(f"{self._text}: {self._done} of {self._count} runs, about {in_words(left)} left")
 
 
