@@ -210,7 +210,7 @@ class Solver:
     )
     settle: bool = field(
         "bool",
-        "Linearise steps of a slow body under a command that holds twice: it comes to rest (newton, level standard)",
+        "Linearise steps of a slow body twice once its command holds: it comes to rest (newton, level standard)",
         default=True,
     )
     sleep: bool = field(

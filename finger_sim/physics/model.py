@@ -171,6 +171,7 @@ class State(NamedTuple):
     D: Floats  # (3, 3) scratch
     turned: Floats  # (B, 4, 8) quaternion when A was formed, where steps share it
     motion: Floats  # (1,) rms speed of the nodes at the end of the last step [m/s]
+    held: Floats  # (1,) time since the driven nodes last moved [s]
     clearance: Floats  # (1,) [m] no surface node is nearer to the plane; below 0: not known
     work: Ints  # (9,) what was done so far: see work.py
     result: Floats  # (11,) what a step reports: see step.py
@@ -458,6 +459,7 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
         D=np.zeros((3, 3)),
         turned=aligned(batches if model.method != PGS else 0, 4, LANES),
         motion=np.zeros(1),
+        held=np.zeros(1),
         clearance=np.full(1, -1.0),
         work=np.zeros(len(WORK), np.int64),
         result=np.zeros(11),

@@ -65,6 +65,7 @@ _FARTHEST = 1e4  # tetrahedron sizes that a node may go in one step
 _REJECTED = int(Status.NONFINITE | Status.STEP_REJECTED)
 _ROW_LIMIT, _ITERATION_LIMIT = int(Status.ROW_LIMIT), int(Status.ITERATION_LIMIT)
 _LOCKED, _INVERTED, _LIMIT_EXCEEDED = int(Status.LOCKED), int(Status.INVERTED), int(Status.LIMIT_EXCEEDED)
+_HELD = 0.02  # time that the driven nodes stay before a body settles [s]: commands come slower than steps
 _SLOW = 3e-3  # part of the tetrahedra's size that nodes of a body that settles move in a step, rms
 _SETTLED = 1e-5  # part of the tolerance that a step which does not move the driven nodes aims at (`newton`)
 _EXCEEDED = 1.5  # strain/limit from which on LIMIT_EXCEEDED is set
@@ -85,7 +86,8 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
     if model.hold > 1 and state.age[0] > 0 and turned_far(state):
         state.age[0] = 0
     wanted, tolerance = model.relinearizations, model.tolerance
-    if model.settles and not moved and model.method == NEWTON:
+    state.held[0] = 0.0 if moved else state.held[0] + h
+    if model.settles and state.held[0] > _HELD and model.method == NEWTON:
         tolerance *= _SETTLED
         if state.held_tets[0] > 0 and state.motion[0] * h < _SLOW * model.length:
             wanted = max(wanted, 1)
