@@ -163,7 +163,7 @@ def draw(medians: dict[str, np.ndarray], path: Path) -> None:
     axes.invert_yaxis()
     axes.set_xlabel("median step [µs]")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, loc="lower right")
+    axes.legend(frameon=False, loc="center right")
     save(figure, path)
 
 
