@@ -25,7 +25,7 @@ from .compile import formula, stage
 from .kinematics import edges_times
 from .lanes import add3, bits, gather3, load4, load8, scatter3, splat4, splat8, store4
 from .polar import load_matrix, transposed_times
-from .vectors import add, clear, copy, subtract_product
+from .vectors import add, clear, subtract_product
 from .work import MATRICES
 
 if TYPE_CHECKING:
@@ -41,8 +41,6 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
     K taken there, b = M v₀ + h (M g + f(x)) + h² K v*.
     """
     rhs, free, masses, gravity = state.rhs, model.free, model.mass, model.gravity
-    if state.v_start.shape[0] > 0 and not again:
-        copy(state.v_start, state.v)
     v = state.v_start if again else state.v
     rhs[-1] = 0.0
     for k in range(free.shape[0]):

@@ -91,6 +91,8 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
         tolerance *= _SETTLED
         if state.held_tets[0] > 0 and state.motion[0] * h < _SLOW * model.length:
             wanted = max(wanted, 1)
+    if wanted > 0:
+        copy(state.v_start, state.v)
     contacts, rows, definite = linear_step(model, state, h, 0, tolerance)
     moved_on = False
     for again in range(1, wanted + 1):
@@ -178,7 +180,7 @@ def relinearise(model: Model, state: State, targets: Floats, h: float, again: in
 
 @stage
 def since_linearised(state: State, again: int) -> None:
-    """state.moving: velocities that state.x has not yet moved by. Before the first linear step v_start is kept."""
+    """state.moving: velocities that state.x has not yet moved by."""
     if again > 0:
         add(state.moving, state.v, state.v_base, -1.0)
     else:
