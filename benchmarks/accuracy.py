@@ -6,9 +6,9 @@ import argparse
 import time
 
 import numpy as np
-from strokes import poses
 
 from finger_sim import Pose, Scene, Simulator
+from finger_sim.studies.strokes import poses
 
 CONVERGED = {"solver.tolerance": 1e-6, "solver.max_iterations": 5_000}
 

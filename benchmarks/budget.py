@@ -12,11 +12,11 @@ import time
 from collections import Counter
 
 import numpy as np
-from strokes import poses
 
 from finger_sim import Pose, Scene, Simulator
 from finger_sim.budget import LADDER, Budget, on_rung
 from finger_sim.ros.loop import RateLoop
+from finger_sim.studies.strokes import poses
 
 AWAKE = {"solver.sleep": False}
 CONVERGED = {"solver.tolerance": 1e-9, "solver.max_iterations": 500}

@@ -6,9 +6,9 @@ import argparse
 import time
 
 import numpy as np
-from strokes import poses
 
 from finger_sim import Scene, Simulator, Status
+from finger_sim.studies.strokes import poses
 
 BANDS = [(0, 0), (1, 39), (40, 99), (100, 199), (200, 10**9)]
 

@@ -25,6 +25,7 @@ from .bags import BagReader, Message, Topic, absolute
 from .console import table
 from .errors import BagError
 from .layout import POINT_DTYPE, POINT_NAMES
+from .plain import plain
 
 
 @dataclass
@@ -81,8 +82,7 @@ class Comparison:
 
     def as_plain(self) -> dict[str, Any]:
         """All of it for JSON; what is not finite is null."""
-        plain = _finite({"equal": self.equal, **dataclasses.asdict(self)})
-        return {**plain, "a": str(self.a), "b": str(self.b)}
+        return {**plain({"equal": self.equal, **dataclasses.asdict(self)}), "a": str(self.a), "b": str(self.b)}
 
 
 def compare(
@@ -363,15 +363,6 @@ def _largest(part: Floats, turn: bool) -> float:
         vector, scalar = np.linalg.norm(part[:, :3], axis=1), np.abs(part[:, 3])
         return float(2.0 * np.arctan2(vector, scalar).max(initial=0.0))
     return float(np.linalg.norm(part, axis=1).max(initial=0.0))
-
-
-def _finite(value: Any) -> Any:
-    """Nested plain data with None for what is not finite."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def verdict(found: Comparison) -> tuple[Table, str]:

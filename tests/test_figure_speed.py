@@ -14,6 +14,7 @@ from finger_sim.bags import read_commands
 from finger_sim.resources import find_bag
 from finger_sim.rotations import matrix
 from finger_sim.studies import figure_speed as speed
+from finger_sim.studies import strokes
 from finger_sim.studies.figure_speed import CONTENDERS, FEWEST, PIECE, Course, Result
 from finger_sim.studies.figures import plain
 
@@ -75,7 +76,7 @@ def test_commands_of_a_bag_are_the_newest_received():
     """By a loop over the bag, at steps of 0.7 ms."""
     scene = Scene.load("finger").with_values({"dt": 7e-4})
     commands = read_commands(find_bag(speed.SLIDE))
-    poses = speed.poses(scene, speed.SLIDE)
+    poses = strokes.poses(scene, speed.SLIDE)
     assert len(poses) == int(np.ceil(commands.duration / scene.dt))
     for k in (0, 1, 2, 500, 2001, len(poses) - 1):
         newest = max(i for i in range(len(commands)) if commands.receipt[i] <= k * scene.dt + 1e-9)
@@ -86,7 +87,9 @@ def test_commands_of_a_bag_are_the_newest_received():
 def test_the_side_press_goes_7_mm_below_touch():
     """And begins and ends where the finger just touches; on its side, e3 is up."""
     scene = Scene.load("finger_paper")
-    poses, points = speed.poses(scene, None), scene.load_mesh().points
+    who = speed.CONTENDERS["rigid hyperbolic, pgs"]
+    assert who.bag is None
+    poses, points = speed.motion_of(who, scene), scene.load_mesh().points
     turn = matrix(poses[0].orientation)
     height = np.array([pose.position[2] for pose in poses]) + (points @ turn.T)[:, 2].min()
     assert_allclose(height[[0, -1]], 0.0, atol=1e-9)

@@ -13,6 +13,7 @@ from rich.table import Table
 from ..console import table
 from ..errors import MissingExtraError
 from ..physics.clock import STAGES
+from ..plain import plain
 from .bench import Report
 from .bench_figures import UNIT_SIZE, Row
 from .bench_scenes import BASE, CONVERGED, DEPTH, LIMITS, MESHES, PHASES, SPEED, BenchError
@@ -50,23 +51,13 @@ def require_writable(path: Path, option: str, endings: tuple[str, ...] = ()) -> 
 def write_json(report: Report, path: Path) -> None:
     """Everything, NaN as null. Raises BenchError when it cannot be written."""
     data = dataclasses.asdict(report)
-    for plain, figure in zip(data["figures"], report.figures, strict=True):
-        plain["reached"] = figure.reached
+    for row, figure in zip(data["figures"], report.figures, strict=True):
+        row["reached"] = figure.reached
     data["scenes"] = {"base": BASE, "limits": LIMITS, "converged": CONVERGED, "meshes": MESHES}
     try:
-        path.write_text(json.dumps(_plain(data), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(plain(data), indent=1, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise BenchError(f"--json: {path} cannot be written: {error.strerror}") from None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def sections(report: Report) -> list[tuple[str, Table]]:

@@ -13,15 +13,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..arrays import Floats, Ints
-from ..bags import read_commands
 from ..physics.step import Status
-from ..resources import find_bag
 from ..scene import Pose, Scene
 from ..simulator import Simulator
 from ..surfaces import new_figure
 from ..trajectories import SIDE, Stroke, follow, touch_height
 from .bench import describe_machine
 from .figures import Finding, Meter
+from .strokes import poses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,25 +105,21 @@ class Result:
 def measure(progress: Meter, *, repeats: int = REPEATS, steps: int | None = None) -> Result:
     """Time every contender through its motion (steps: no more than so many of them)."""
     scenes = {name: Scene.load(who.scene).with_values({**AWAKE, **who.values}) for name, who in CONTENDERS.items()}
-    motions = {name: poses(scenes[name], who.bag)[:steps] for name, who in CONTENDERS.items()}
+    motions = {name: motion_of(who, scenes[name])[:steps] for name, who in CONTENDERS.items()}
     simulators = {name: Simulator(scene) for name, scene in scenes.items()}
     dt = {scene.dt for scene in scenes.values()}
     assert len(dt) == 1
     return Result(timed(simulators, motions, repeats, progress), dt.pop(), describe_machine())
 
 
-def poses(scene: Scene, bag: str | None) -> list[Pose]:
-    """One command for each step: of a bag the newest received by its start; without one, SIDE_PRESS."""
-    if bag is None:
-        t = np.arange(0.0, sum(stroke.duration for stroke in SIDE_PRESS), scene.dt)
-        position, orientation = follow(SIDE_PRESS, t), np.tile(SIDE, (len(t), 1))
-        position[:, 2] += touch_height(scene.load_mesh().points, SIDE)
-    else:
-        commands = read_commands(find_bag(bag))
-        starts = np.arange(0.0, commands.duration, scene.dt) + 1e-9
-        newest = np.searchsorted(commands.receipt, starts, side="right") - 1
-        position, orientation = commands.position[newest], commands.orientation[newest]
-    return [Pose((*p,), (*q,)) for p, q in zip(position.tolist(), orientation.tolist(), strict=True)]
+def motion_of(who: Contender, scene: Scene) -> list[Pose]:
+    """One command for each step: of the contender's bag; without one, SIDE_PRESS."""
+    if who.bag is not None:
+        return poses(scene, who.bag)
+    t = np.arange(0.0, sum(stroke.duration for stroke in SIDE_PRESS), scene.dt)
+    position = follow(SIDE_PRESS, t)
+    position[:, 2] += touch_height(scene.load_mesh().points, SIDE)
+    return [Pose((*p,), SIDE) for p in position.tolist()]
 
 
 def timed(

@@ -8,15 +8,13 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import json
-import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
-import numpy as np
-
 from ..console import gauge, say
 from ..errors import FingerSimError
+from ..plain import plain
 from ..surfaces import new_figure, save
 
 if TYPE_CHECKING:
@@ -112,16 +110,3 @@ def write(made: Made) -> None:
         made.data.write_text(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise FingerSimError(f"{made.data}: cannot be written: {error.strerror}") from None
-
-
-def plain(value: Any) -> Any:
-    """Values as JSON has them: arrays as lists, no NumPy numbers, what is not finite as null."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -19,8 +19,8 @@ import yaml
 
 from ..arrays import Floats, Ints
 from ..bags import START, write_commands
+from ..plain import plain
 from ..scene import Pose, Scene
-from .figures import plain
 
 MESH_FILE, SCENE_FILE, BAG, START_FILE, README = "mesh.vtu", "scene.yaml", "commands", "start.npy", "README.txt"
 """What a written case consists of."""

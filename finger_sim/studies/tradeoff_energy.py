@@ -8,6 +8,7 @@ from ..arrays import Floats
 from ..mesh import TetMesh
 from ..scene import Pose, Scene
 from ..simulator import Simulator
+from .strains import deformation, stretches
 
 KICK = 0.02
 """Velocity of the free nodes at the start [m/s]."""
@@ -46,8 +47,7 @@ def _kinetic(simulator: Simulator) -> float:
 def elastic_energy(mesh: TetMesh, x: Floats, young: float, poisson: float) -> float:
     """Σ V (μ ‖F − R‖² + λ/2 tr² (RᵀF − I)) of a mesh with its nodes at x (n, 3) [J]."""
     mu, lame = young / (2.0 * (1.0 + poisson)), young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
-    rest, now = (np.swapaxes(p[mesh.tets[:, 1:]] - p[mesh.tets[:, :1]], 1, 2) for p in (mesh.points, x))
-    U, s, Vt = np.linalg.svd(now @ np.linalg.inv(rest))
-    s[:, 2] *= np.sign(np.linalg.det(U @ Vt))
-    density = mu * ((s - 1.0) ** 2).sum(axis=1) + 0.5 * lame * (s - 1.0).sum(axis=1) ** 2
-    return float(np.abs(np.linalg.det(rest)) @ density) / 6.0
+    strain = stretches(deformation(mesh, x))[0] - 1.0
+    density = mu * (strain**2).sum(axis=1) + 0.5 * lame * strain.sum(axis=1) ** 2
+    edges = mesh.points[mesh.tets[:, :3]] - mesh.points[mesh.tets[:, 3:]]
+    return float(np.abs(np.linalg.det(edges)) @ density) / 6.0

@@ -24,7 +24,7 @@ from .tradeoff_run import NAMES, Course, portable
 Kind = Literal["course", "times"]
 SOURCES = ("coupling", "fields", "mesh", "meshing", "rotations", "scene", "simulator", "studies/tradeoff_motion")
 OWN: dict[Kind, tuple[str, ...]] = {
-    "course": ("studies/tradeoff_energy", "studies/tradeoff_run"),
+    "course": ("studies/strains", "studies/tradeoff_energy", "studies/tradeoff_run"),
     "times": ("studies/tradeoff_clock",),
 }
 """Sources that runs depend on, besides physics/: both kinds, and one."""
