@@ -245,9 +245,17 @@ def _stress(options: argparse.Namespace) -> int:
     from .studies.stress import Options, failures, stress, summary
 
     what = Options(options.cases, options.seed, options.minutes, options.long, options.out)
+    if options.plot:
+        from .studies.bench_report import PICTURES, require_writable
+
+        require_writable(options.plot, "--plot", PICTURES)
     with gauge(f"stress: {what.cases} random cases of seed {what.seed}, and the directed ones") as meter:
         report = stress(what, meter)
     console().print(summary(report))
+    if options.plot:
+        from .studies.stress_picture import draw
+
+        draw(report, options.plot)
     if report.left_out:
         say(f"finger_sim: {report.left_out} cases left out: out of time")
     if not report.failed:
@@ -566,6 +574,7 @@ def _add_stress(verbs: Any) -> None:
         metavar="DIR",
         help="folder for what repeats a case that failed (default: %(default)s)",
     )
+    add("--plot", type=Path, metavar="FILE.png", help="draw how the cases ended")
 
 
 def _add_tradeoff(verbs: Any) -> None:

@@ -333,3 +333,23 @@ def test_time_runs_out() -> None:
     report = stress(Options(cases=5, minutes=1e-9))
     assert len(report.outcomes) == 0
     assert report.left_out == 5 + len(DIRECTED)
+
+
+def test_the_picture_has_every_case() -> None:
+    """A bar for each family, divided by how its cases ended."""
+    pytest.importorskip("matplotlib")
+    from finger_sim.studies.stress_picture import make_figure
+
+    some = (
+        outcome("a", "x", "ok"),
+        outcome("b", "x", "failed"),
+        outcome("c", "y", "degraded"),
+        outcome("d", "x", "ok"),
+    )
+    axes = make_figure(Report(some, 0, ())).axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["x", "y"]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [
+        "ok 2", "degraded 1", "refused 0", "failed 1"
+    ]  # fmt: skip
+    ends = sorted(bar.get_x() + bar.get_width() for bar in axes.patches if bar.get_width())
+    assert ends == [1.0, 2.0, 3.0]
