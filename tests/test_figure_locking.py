@@ -23,26 +23,34 @@ def presses(result):
 
 
 def test_the_force_and_the_rows_of_each_projection(presses):
-    """Normal force [N], rows and locked tetrahedra of a flat press of 1.5 mm by `newton`."""
+    """Normal force [N], rows and locked tetrahedra of a flat press of 1.5 mm by `newton`.
+
+    `orthogonal`, whose limits cannot all hold, chatters: of it the mean over the deeper half, and over both solvers. It
+    is 15.1 to 15.6 N when friction is changed in the seventh digit; the force at the end 23 to 26 N.
+    """
     for name, force, rows, locked in (
         ("isotropic", 0.58, 4, 0),
-        ("linear", 0.94, 80, 60),
+        ("linear", 0.94, 78, 58),
         ("tensor", 1.02, 118, 60),
         ("hyperbolic", 1.00, 166, 72),
-        ("orthogonal", 24.7, 449, 86),
+        ("orthogonal", 15.2, 462, 86),
     ):
         got = presses[name]["newton"]
-        assert got["force_n"] == pytest.approx(force, rel=0.04), name
+        chatters = name == "orthogonal"
+        measured = np.mean([both["mean_force_n"] for both in presses[name].values()]) if chatters else got["force_n"]
+        assert measured == pytest.approx(force, rel=0.04), name
         assert got["limit_rows"] == pytest.approx(rows, rel=0.1, abs=2), name
         assert got["locked_tets"] == pytest.approx(locked, rel=0.15), name
 
 
 def test_both_solvers_agree(presses):
-    """Force within 2 % where limits can hold; within a tenth under `orthogonal`, where they cannot."""
+    """Force within 0.5 % where limits can hold; on the way down within 8 % under `orthogonal`, where they cannot."""
     for name, both in presses.items():
-        tolerance = 0.1 if name == "orthogonal" else 0.02
-        assert both["pgs"]["force_n"] == pytest.approx(both["newton"]["force_n"], rel=tolerance), name
-        assert both["newton"]["residual"] <= 1e-3
+        chatters = name == "orthogonal"
+        key, tolerance = ("mean_force_n", 0.08) if chatters else ("force_n", 0.005)
+        assert both["pgs"][key] == pytest.approx(both["newton"][key], rel=tolerance), name
+        assert both["newton"]["residual"] <= 1e-6
+        assert both["pgs"]["residual"] <= 1e-6
 
 
 def test_locked_tetrahedra_are_those_beyond_constant_volume(result):

@@ -13,7 +13,7 @@ from ..mesh import TetMesh
 from ..scene import Scene
 from ..surfaces import View, draw_body, draw_ground, look, new_figure, strain_bar
 from .figures import Finding, Meter
-from .finger_presses import Press, Way, press
+from .finger_presses import FINELY, Press, Way, press
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,9 +68,9 @@ def measure(
 
 def scene_of(projection: str, method: str, poisson: float | None = None) -> Scene:
     """The finger with a projection (`none`: no limits), a solver and, unless it is the scene's, a Poisson's ratio."""
-    values: dict[str, Any] = {"limits.projection": projection, "solver.method": method}
+    values: dict[str, Any] = {**FINELY, "limits.projection": projection, "solver.method": method}
     if projection == "none":
-        values = {"limits": None, "solver.method": method}
+        values = {**FINELY, "limits": None, "solver.method": method}
     elif projection == "isotropic":
         values |= {"limits.stretch": 1.25, "limits.compress": 0.75}
     if poisson is not None:
@@ -79,7 +79,7 @@ def scene_of(projection: str, method: str, poisson: float | None = None) -> Scen
 
 
 def numbers(result: Result) -> dict[str, Any]:
-    """What may lock, and what did."""
+    """What may lock, and what did. mean_force_n: over the deeper half of a press, as `orthogonal` chatters."""
     scene, mesh = Scene.load(SCENE), result.mesh
     assert scene.limits is not None
     is_free = np.ones(len(mesh.points), bool)
@@ -109,6 +109,7 @@ def _press_numbers(press: Press) -> dict[str, Any]:
     out = press.result
     return {
         "force_n": press.force_at(DEPTH),
+        "mean_force_n": float(press.force[press.depth > 0.5 * DEPTH].mean()),
         "limit_rows": out.limit_rows,
         "limited_tets": out.limited_tets,
         "locked_tets": out.locked_tets,
