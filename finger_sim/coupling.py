@@ -1,15 +1,18 @@
 """Command → bone, and what a device is asked to render.
 
-Kinematic coupling: the driven nodes follow the commanded pose exactly, but no faster than the scene allows, so
-that a jump of the command (a tracker that re-acquires, a first message from afar) gives a bounded motion.
+Kinematic coupling: the driven nodes follow the commanded pose exactly. Virtual coupling: they are a rigid body on a
+damped spring to it (physics/bone.py). Both no faster than the scene allows, so that a jump of the command (a tracker
+that re-acquires, a first message from afar) gives a bounded motion.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from .arrays import Floats
-from .rotations import angle, slerp
+from .rotations import angle, rotation_vector, slerp
 from .scene import Coupling, Pose, Vec3
 
 
@@ -57,9 +60,50 @@ def between(a: Pose, b: Pose, fraction: float) -> Pose:
     return Pose((x, y, z), slerp(a.orientation, b.orientation, fraction))
 
 
-def device_wrench(coupling: Coupling, contact_wrench: Floats) -> Floats:
-    """The contact wrench (6,) [N, N m], its force and torque each scaled back to the coupling's limits."""
-    wrench = contact_wrench.copy()
+class CommandSpeed:
+    """Velocity of a command that comes in jumps, less often than steps.
+
+    A jump's size over the time since the one before, for as long as that took and half as long again, so that commands
+    which come regularly but for some jitter give a steady velocity; then zero. A jump after `longest` [s] of rest
+    counts as having taken that.
+    """
+
+    def __init__(self, longest: float = 0.1) -> None:
+        self.longest = longest
+        self.value: Floats = np.zeros(6)
+        self._since = self._holds = 0.0
+
+    def step(self, before: Pose, after: Pose, dt: float) -> Floats:
+        """(6,) linear [m/s] and angular [rad/s] velocity, world, at the end of a step of `dt` [s]."""
+        self._since = min(self._since + dt, self.longest)
+        if after != before:
+            self.value = displacement(before, after) / self._since
+            self._holds, self._since = 1.5 * self._since, 0.0
+        elif self._since > self._holds:
+            self.value = np.zeros(6)
+        return self.value
+
+
+def displacement(a: Pose, b: Pose) -> Floats:
+    """(6,) way [m] and rotation vector [rad] from a to b, world."""
+    way = np.array(b.position) - np.array(a.position)
+    turn = rotation_vector(a.orientation, b.orientation) if a.orientation != b.orientation else (0.0, 0.0, 0.0)
+    return np.concatenate([way, turn])
+
+
+def spring_wrench(on_bone: Floats, bone: Pose, command: Pose) -> Floats:
+    """(6,) wrench [N, N m] of a coupling on the device, about the commanded point.
+
+    on_bone: its wrench on the bone, about the bone's origin; all in world axes.
+    """
+    out = -on_bone
+    out[3:] += np.cross(np.array(bone.position) - np.array(command.position), out[:3])
+    return out
+
+
+def device_wrench(coupling: Coupling, wrench: Floats) -> Floats:
+    """A wrench (6,) [N, N m], its force and torque each scaled back to the coupling's limits."""
+    wrench = wrench.copy()
     for part, limit in ((slice(0, 3), coupling.force_limit), (slice(3, 6), coupling.torque_limit)):
         size = math.hypot(*wrench[part].tolist())
         if size > limit:

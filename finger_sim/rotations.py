@@ -41,6 +41,20 @@ def angle(a: Quaternion, b: Quaternion) -> float:
     return 4.0 * math.atan2(min(apart, opposite), max(apart, opposite))
 
 
+def rotation_vector(a: Quaternion, b: Quaternion) -> tuple[float, float, float]:
+    """The shorter rotation from a to b, as axis times angle [rad], in the axes that both are given in."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    x = bx * aw - bw * ax - by * az + bz * ay
+    y = by * aw - bw * ay - bz * ax + bx * az
+    z = bz * aw - bw * az - bx * ay + by * ax
+    w = bw * aw + bx * ax + by * ay + bz * az
+    size = math.hypot(x, y, z)
+    factor = 2.0 * math.atan2(size, abs(w)) / size if size > 1e-12 else 2.0
+    factor = math.copysign(factor, w)
+    return factor * x, factor * y, factor * z
+
+
 def slerp(a: Quaternion, b: Quaternion, fraction: float) -> Quaternion:
     """The orientation `fraction` of the shorter way from a to b (Shoemake 1985)."""
     dot = sum(i * j for i, j in zip(a, b, strict=True))

@@ -115,6 +115,7 @@ class Limits:
         low=1e-3,
         high=1e9,
         optional=True,
+        live=True,
     )
 
     inertia: float = field(
@@ -123,6 +124,7 @@ class Limits:
         default=0.0,
         low=0.0,
         high=1e6,
+        live=True,
     )
 
     viscosity: float = field(
@@ -131,6 +133,7 @@ class Limits:
         default=2.0,
         low=0.0,
         high=1e3,
+        live=True,
     )
 
     def check(self, prefix: str) -> None:
@@ -167,6 +170,7 @@ class Plane:
         low=1e-3,
         high=1e9,
         optional=True,
+        live=True,
     )
 
     def check(self, prefix: str) -> None:
@@ -249,8 +253,21 @@ class Solver:
 class Coupling:
     """How a commanded pose drives the bone, and what a device may be asked to render."""
 
-    type: Literal["kinematic"] = field(
-        "choice", "kinematic: driven nodes follow the command exactly", default="kinematic", choices=("kinematic",)
+    type: Literal["kinematic", "virtual"] = field(
+        "choice",
+        "kinematic: driven nodes follow the command exactly; virtual: as a rigid body on a spring to it (newton only)",
+        default="kinematic",
+        choices=("kinematic", "virtual"),
+    )
+    stiffness: float = field(
+        "float", "Of the virtual coupling", default=1000.0, unit="N/m", low=1e-3, high=1e7, live=True
+    )
+    damping: float = field("float", "Of the virtual coupling", default=3.0, unit="N s/m", low=0.0, high=1e5, live=True)
+    rotational_stiffness: float = field(
+        "float", "Of the virtual coupling", default=1.0, unit="N m/rad", low=1e-6, high=1e5, live=True
+    )
+    rotational_damping: float = field(
+        "float", "Of the virtual coupling", default=0.003, unit="N m s/rad", low=0.0, high=1e3, live=True
     )
     max_speed: float = field(
         "float",
@@ -271,10 +288,22 @@ class Coupling:
         live=True,
     )
     force_limit: float = field(
-        "float", "Clamp on the force of device_wrench", default=10.0, unit="N", low=0.0, high=1e6, live=True
+        "float",
+        "Clamp on the force of device_wrench; a virtual coupling pulls no harder",
+        default=10.0,
+        unit="N",
+        low=0.0,
+        high=1e6,
+        live=True,
     )
     torque_limit: float = field(
-        "float", "Clamp on the torque of device_wrench", default=0.5, unit="N m", low=0.0, high=1e6, live=True
+        "float",
+        "Clamp on the torque of device_wrench; a virtual coupling turns no harder",
+        default=0.5,
+        unit="N m",
+        low=0.0,
+        high=1e6,
+        live=True,
     )
 
 
@@ -310,6 +339,8 @@ class Scene:
     def check(self, prefix: str) -> None:
         if self.solver.level == "lagged" and (self.solver.method == "pgs" or self.solver.relinearizations > 0):
             raise SceneError(f"{prefix}solver.level", "lagged", "standard, unless newton with relinearizations 0")
+        if self.coupling.type == "virtual" and self.solver.method != "newton":
+            raise SceneError(f"{prefix}coupling.type", "virtual", "kinematic, unless solver.method is newton")
         if self.solver.method == "newton":
             for name, part in (("limits", self.limits), ("plane", self.plane)):
                 if part is not None and part.stiffness is None:
@@ -338,6 +369,8 @@ class Scene:
         data = dict(data)
         driven = _parse_driven(data.pop("driven", None))
         scene = dataclasses.replace(parse_part(Scene, data), driven=driven)
+        if scene.coupling.type == "virtual" and driven is None:
+            raise SceneError("driven", None, "the nodes that are the bone, since coupling.type is virtual")
         if scene.mesh.file is not None:
             resolved = _resolve_mesh(scene.mesh.file, Path(base) if base is not None else Path.cwd())
             scene = dataclasses.replace(scene, mesh=MeshSource(file=resolved))

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .arrays import Floats
-from .coupling import between, device_wrench, follow, stop_at_plane
+from .coupling import CommandSpeed, between, device_wrench, follow, spring_wrench, stop_at_plane
 from .errors import SceneError
 from .fields import specs
 from .layout import place
@@ -20,10 +20,11 @@ from .mesh import TetMesh
 from .physics import step as stepping
 from .physics.clock import STAGES
 from .physics.compile import compiled_before
-from .physics.model import build_model, build_state, with_live_values
+from .physics.model import build_model, build_state, plane_frame, with_live_values
 from .physics.ready import advance, measure_strains, ready, refresh
 from .physics.step import Status
 from .physics.work import WORK
+from .plane_motion import PlaneMotion
 from .rotations import ZERO_NORM, matrix, normalised
 from .scene import Pose, Scene, Solver, Vec3
 
@@ -89,11 +90,14 @@ class Simulator:
         self._state = build_state(self._model, self.mesh.points, timed)
         self._ready = ready(self._model, self._state)
         self._plane = _plane_of(scene)
+        self._motion = PlaneMotion()
         self._rest_driven = self.mesh.points[self._model.driven]
         self._centre = tuple(self._rest_driven.mean(axis=0).tolist()) if len(self._rest_driven) else (0.0, 0.0, 0.0)
         self._turned_by, self._turned_driven = Pose().orientation, self._rest_driven
         self._driven = scene.driven is not None
-        self._command = self._given = self.pose = scene.initial_pose
+        self._yields = scene.coupling.type == "virtual"
+        self._command = self._given = self._target = self.pose = scene.initial_pose
+        self._speed = CommandSpeed()
         self._still = STILL * self._model.length
         self._torn = TORN * float(np.linalg.norm(self.mesh.points, axis=1).max())
         self._raging = RAGING * self._model.length
@@ -109,38 +113,62 @@ class Simulator:
         self.reset(scene.initial_pose)
         tell("ready")
 
-    def step(self, command: Pose | None = None) -> StepResult:
+    def step(self, command: Pose | None = None, plane: Pose | None = None) -> StepResult:
         """Advance by `scene.dt` towards `command`; None holds the last one. A free body takes no command.
 
-        Raises SceneError when the command is not finite or its quaternion is zero; the state is then unchanged.
+        plane: where the plane is wanted from now on, as the x-y plane of a pose (see PlaneMotion); None: as before.
+
+        Raises SceneError when a pose is not finite or its quaternion is zero, or when the scene has no plane to move;
+        the state is then unchanged.
         """
+        if plane is not None:
+            if self._plane is None:
+                raise SceneError("plane", None, "a scene with a plane, to move it")
+            plane = _checked(plane, "plane")
         if self._asleep is not None:
-            if command is None or command == self._given:
+            if plane is None and (command is None or command == self._given):
                 self._steps += 1
                 return self._asleep.later(self._steps * self.scene.dt)
             self._asleep = None
         if command is not None:
             self._command, self._given = _checked(command), command
         scene, state = self.scene, self._state
-        start, limited = self.pose, False
+        shifts = self._motion.step(plane, scene.coupling, scene.dt)
+        if shifts:
+            self._plane = self._motion.surface()
+            self._place_plane()
+            state.plane_motion[:] = self._motion.twist
+        start, limited = self._target, False
         end = start
         if self._driven:
             end, limited = follow(scene.coupling, start, self._command, scene.dt)
-            if self._plane is not None and end is not start:
+            if self._plane is not None and end is not start and not self._yields:
                 end, stopped = stop_at_plane(*self._plane, self._centre, start, end)
                 limited |= stopped
+        self._target = end
+        moves = end != start or shifts
+        if self._yields:
+            state.target[7:13] = self._speed.step(start, end, scene.dt)
+            state.target[13] = moves
+            moves |= bool(state.target[7:13].any())
         h = scene.dt / scene.substeps
         status, iterations, residual = int(Status.COMMAND_LIMITED) if limited else 0, 0, 0.0
         for substep in range(1, scene.substeps + 1):
-            before, self.pose = self.pose, between(start, end, substep / scene.substeps)
-            state.origin[:] = self.pose.position
+            before, after = self.pose, between(start, end, substep / scene.substeps)
+            if self._yields:
+                state.target[:7] = *after.position, *after.orientation
+            else:
+                self.pose = after
+                state.origin[:] = after.position
             if self._timed:
                 state.laps[len(STAGES)] = time.perf_counter()  # the same clock as compiled code's
-            advance(self._ready, self._targets(), h)
+            advance(self._ready, self._rest_driven if self._yields else self._targets(), h)
             result = state.result.tolist()
             came = int(result[stepping.STATUS])
             if came & _REJECTED:
                 self._move_rigidly(before, self.pose, h)
+            elif self._yields:
+                self.pose = _pose_of(state.bone[:7].tolist())
             self._rejections = self._rejections + 1 if came & _REJECTED else 0
             if self._rejections >= MOST_REJECTIONS or self._torn_apart(result, h):
                 self._restore()
@@ -156,7 +184,7 @@ class Simulator:
         out = StepResult(
             time=self.time,
             contact_wrench=wrench,
-            device_wrench=device_wrench(scene.coupling, wrench),
+            device_wrench=device_wrench(scene.coupling, self._felt(wrench)),
             pose=self.pose,
             iterations=iterations,
             residual=residual,
@@ -169,12 +197,12 @@ class Simulator:
             max_penetration=result[stepping.PENETRATION],
         )
         raging = status & _STRAINED and out.contacts == 0 and result[stepping.SPEED] > self._raging
-        if not raging or end != start:
+        if not raging or moves:
             self._raging_since = self._steps
         elif (self._steps - self._raging_since) * scene.dt >= RAGING_TIME:
             self._restore()
             return dataclasses.replace(out, status=Status(status | _RESTORED))
-        if result[stepping.SPEED] > self._still or status & _UNSETTLED:
+        if result[stepping.SPEED] > self._still or moves or status & _UNSETTLED:
             self._still_since = self._steps
         elif status & _INVERTED and out.contacts == 0:
             if (self._steps - self._still_since) * scene.dt >= STILL_TIME:
@@ -189,7 +217,8 @@ class Simulator:
         """Back to rest at `pose` (default: the last command), at time 0."""
         if pose is not None:
             self._command = _checked(pose)
-        self.pose = self._command
+        self.pose = self._target = self._command
+        self._speed = CommandSpeed()
         self._steps = 0
         positions = place(self.mesh.points, self.pose)
         self.set_state(positions, np.zeros_like(positions))
@@ -198,6 +227,8 @@ class Simulator:
 
     def set_state(self, positions: Floats, velocities: Floats) -> None:
         """Put the nodes at `positions` [m] with `velocities` [m/s], both (n, 3), world; row forces are forgotten.
+
+        Driven nodes go on from where `pose` has them; a bone that yields, with the rigid motion nearest to theirs.
 
         Raises SceneError when a shape is wrong or a number is not finite.
         """
@@ -210,7 +241,11 @@ class Simulator:
         for report in (state.contact_force, state.wrench, state.warm_limit, state.limit_force, state.result):
             report[:] = 0.0
         state.active_rows[:] = 0
-        state.clearance[0] = -1.0
+        state.twist[:] = self._rigid_velocity(v) if self._yields else 0.0
+        state.coupling[:] = 0.0
+        state.bone[:] = (*self.pose.position, *self.pose.orientation) * 2
+        state.origin[:] = self.pose.position
+        self._place_plane()
         self._wake()
         state.age[0] = state.held_tets[0] = 0
         refresh(self._ready)
@@ -224,7 +259,10 @@ class Simulator:
         for key, value in values.items():
             if key not in live:
                 raise SceneError(key, value, f"values that may change while running: {', '.join(sorted(live))}")
-        self.scene = self.scene.with_values(values)
+        before, self.scene = self.scene.plane, self.scene.with_values(values)
+        after = self.scene.plane
+        if before and after and (before.point, before.normal) != (after.point, after.normal):
+            self._plane, self._motion = _plane_of(self.scene), PlaneMotion()
         self._use(self.scene)
 
     def solve_with(self, solver: Solver) -> None:
@@ -278,11 +316,24 @@ class Simulator:
     def _use(self, scene: Scene) -> None:
         """The live values of a scene."""
         self._model = with_live_values(self._model, scene)
-        self._plane = _plane_of(scene)
-        self._state.clearance[0] = -1.0
+        self._place_plane()
         self._state.age[0] = 0
         self._wake()
         self._ready = ready(self._model, self._state)
+
+    def _place_plane(self) -> None:
+        """The plane where it is now, at rest."""
+        if self._plane is not None:
+            normal, point = self._plane
+            self._state.plane_frame[:], self._state.plane_point[:] = plane_frame(np.array(normal)), point
+        self._state.plane_motion[:] = 0.0
+        self._state.clearance[0] = -1.0
+
+    def _felt(self, contact_wrench: Floats) -> Floats:
+        """What a device is to render, before its limits: the coupling's wrench on it, or that of the plane."""
+        if self._yields:
+            return spring_wrench(self._state.coupling, self.pose, self._target)
+        return contact_wrench
 
     def _wake(self) -> None:
         """Compute the next step, whatever the command."""
@@ -298,8 +349,8 @@ class Simulator:
         return targets
 
     def _move_rigidly(self, before: Pose, after: Pose, h: float) -> None:
-        """After a rejected step: every node goes with the bone; a body without one stops."""
-        if not self._driven:
+        """After a rejected step: every node goes with the bone; a body whose bone yields, or that has none, stops."""
+        if not self._driven or self._yields:
             self.set_state(self.positions, np.zeros_like(self.positions))
             return
         turn = matrix(after.orientation) @ matrix(before.orientation).T
@@ -321,6 +372,14 @@ class Simulator:
         positions = place(self.mesh.points, self.pose)
         self.set_state(positions, np.zeros_like(positions))
 
+    def _rigid_velocity(self, velocities: Floats) -> Floats:
+        """(6,) velocity [m/s] of the finger frame's origin and angular velocity [rad/s], from those of all nodes."""
+        driven, arms = velocities[self._model.driven], self._rest_driven @ matrix(self.pose.orientation).T
+        turning = np.cross(np.eye(3)[None], arms[:, None, :])  # e_k × ρ
+        system = np.concatenate([np.broadcast_to(np.eye(3), turning.shape), turning], axis=1).transpose(0, 2, 1)
+        twist: Floats = np.linalg.lstsq(system.reshape(-1, 6), driven.ravel())[0]
+        return twist
+
     def _best_fit(self) -> Pose:
         """Frame of a free body: the rigid motion of the rest mesh nearest to the nodes, by mass."""
         mass, x, X = self._model.mass, self.positions, self.mesh.points
@@ -337,14 +396,20 @@ class Simulator:
         measure_strains(self._ready)
 
 
-def _checked(pose: Pose) -> Pose:
+def _checked(pose: Pose, name: str = "command") -> Pose:
     """The pose with a unit quaternion. Raises SceneError when it cannot be one."""
     position, orientation = pose.position, pose.orientation
     if not max(map(abs, position)) <= _FARTHEST or not all(map(math.isfinite, position)):
-        raise SceneError("command.position", position, _POSE["position"].allowed)
+        raise SceneError(f"{name}.position", position, _POSE["position"].allowed)
     if not all(map(math.isfinite, orientation)) or math.hypot(*orientation) < ZERO_NORM:
-        raise SceneError("command.orientation", orientation, _POSE["orientation"].allowed)
+        raise SceneError(f"{name}.orientation", orientation, _POSE["orientation"].allowed)
     return Pose(position, normalised(orientation))
+
+
+def _pose_of(numbers: list[float]) -> Pose:
+    """The pose of position and unit quaternion, seven numbers."""
+    x, y, z, qx, qy, qz, qw = numbers
+    return Pose((x, y, z), (qx, qy, qz, qw))
 
 
 def _plane_of(scene: Scene) -> tuple[Vec3, Vec3] | None:

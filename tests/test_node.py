@@ -141,6 +141,50 @@ def test_a_stale_command_zeroes_device_wrench_and_holds_the_pose(client, node):
     node.wait_for("commands are back")
 
 
+def test_forces_are_scaled_while_running(client):
+    """force_scale is live; a scale below its range is refused."""
+    devices = client.collect(WrenchStamped, "device_wrench")
+    press = lambda: client.command(-0.0003)  # noqa: E731
+    client.until(lambda: devices and force(devices[-1])[2] > 0.5, press)
+    assert client.set("force_scale", 1e-3).successful
+    client.until(lambda: 0.0 < force(devices[-1])[2] < 0.1, press)
+    assert not client.set("force_scale", -1.0).successful
+    assert client.set("force_scale", 1.0).successful
+    client.until(lambda: force(devices[-1])[2] > 0.5, press)
+
+
+def test_the_plane_moves_by_its_topic(client):
+    """Away from the finger: the contact ends; a pose of another frame is refused and named."""
+    wrenches = client.collect(WrenchStamped, "contact_wrench")
+    publisher = client.node.create_publisher(PoseStamped, "plane_pose", 10)
+    press = lambda: client.command(-0.0003)  # noqa: E731
+    client.until(lambda: wrenches and force(wrenches[-1])[2] > 0.5, press)
+
+    def move(height):
+        press()
+        publisher.publish(command(height))
+
+    client.until(lambda: force(wrenches[-1])[2] == 0.0, lambda: move(-0.01))
+    client.until(lambda: force(wrenches[-1])[2] > 0.5, lambda: move(0.0))
+    foreign = command(0.0)
+    foreign.header.frame_id = "map"
+    _, values = client.report(lambda: publisher.publish(foreign))
+    assert "plane_pose" in values["last refusal"]
+    assert "'map'" in values["last refusal"]
+
+
+def test_the_port_to_the_device_is_reported(client):
+    """Energy, leak, and what transport of commands takes, are in diagnostics; a wrong choice of control is refused."""
+    press = lambda: client.command(-0.0003)  # noqa: E731
+    _, values = client.report(press)
+    for key in ("energy to the device [J]", "leaked [J]", "dissipated [J]", "passivity factor"):
+        assert math.isfinite(float(values[key]))
+    assert 0.0 <= float(values["command transport p50 [ms]"]) < 1000.0
+    assert client.set("passivity", "control").successful
+    assert not client.set("passivity", "off").successful
+    assert client.set("passivity", "observe").successful
+
+
 def test_bad_commands_are_counted_named_and_not_followed(client, node):
     """The last good command holds."""
     poses = client.collect(PoseStamped, "pose")

@@ -1,8 +1,9 @@
 """Contact of surface nodes with a plane, and Coulomb's cone.
 
 Gap φ = n · (x − p), negative inside the plane, n the outward unit normal. Rows of a node, in this order:
-normal φ + h n·v + (λ_n − λ_n⁰) / k ≥ 0 ⊥ λ_n ≥ 0, and two tangents h t·v + (λ_t − λ_t⁰) / k with |λ_t| ≤ μ λ_n,
-opposing slip. λ⁰ is the force of the step before: a contact is a spring only while its force changes, so that a soft
+normal φ + h n·v + (λ_n − λ_n⁰) / k ≥ 0 ⊥ λ_n ≥ 0, and two tangents h t·(v − v_p) + (λ_t − λ_t⁰) / k with
+|λ_t| ≤ μ λ_n, opposing slip. A plane that moves is taken where it is at the step's end; v_p is its velocity under the
+node. λ⁰ is the force of the step before: a contact is a spring only while its force changes, so that a soft
 one neither sinks in nor creeps (the method of multipliers, one iteration a step). That is stable where k exceeds the
 inertia m / h² of the node: k is kept at or above _INERTIA times it. k = ∞ (model.contact_compliance 0): rigid.
 The force of the plane on the node is n λ_n + t₁ λ_t1 + t₂ λ_t2 [N], world axes.
@@ -31,7 +32,7 @@ def contact_rows(model: Model, state: State, h: float, again: bool) -> int:
 
     -1 when the arrays hold no more rows. `again`: state.x is an estimate of the step's end, which a node may leave too.
     """
-    frame, point = model.plane_frame, model.plane_point
+    frame, point = state.plane_frame, state.plane_point
     margin = _MARGIN * model.length
     nodes, slots, mobility = model.contact_nodes, model.slot, model.mobility
     positions, velocities, forces = state.x, state.v, state.contact_force
@@ -65,7 +66,7 @@ def contact_rows(model: Model, state: State, h: float, again: bool) -> int:
                     J[rows, n, k] = 0.0
             row_tet[rows] = -1 - node
             before = d[0] * warm[0] + d[1] * warm[1] + d[2] * warm[2]
-            reach = ahead if axis == 0 else h * (d[0] * v[0] + d[1] * v[1] + d[2] * v[2])
+            reach = ahead if axis == 0 else h * (d[0] * v[0] + d[1] * v[1] + d[2] * v[2] - carried(state, x, axis))
             constant[rows] = reach - compliance * before
             compliances[rows] = compliance
             scale[rows] = 1.0
@@ -80,7 +81,7 @@ def store_contact(model: Model, state: State, contact_rows: int) -> int:
     forces, positions, lam, row_tet, wrench = state.contact_force, state.x, state.lam, state.row_tet, state.wrench
     forces[:] = 0.0
     wrench[:] = 0.0
-    frame, origin = model.plane_frame, state.origin
+    frame, origin = state.plane_frame, state.origin
     contacts = 0
     for row in range(0, contact_rows, 3):
         node = -1 - row_tet[row]
@@ -106,7 +107,7 @@ def deepest(model: Model, state: State) -> float:
     if state.clearance[0] > 0.0:
         return 0.0
     state.work[NODES_SEEN] += model.surface_nodes.shape[0]
-    frame, point, nodes, positions = model.plane_frame, model.plane_point, model.surface_nodes, state.x
+    frame, point, nodes, positions = state.plane_frame, state.plane_point, model.surface_nodes, state.x
     least = math.inf
     for c in range(nodes.shape[0]):
         x = positions[nodes[c]]
@@ -119,7 +120,7 @@ def deepest(model: Model, state: State) -> float:
 @stage
 def set_out_for(model: Model, state: State, node: int, h: float) -> float:
     """Gap that the node would have at the end of the step at the velocity it began it with [m]."""
-    frame, point, x, v = model.plane_frame, model.plane_point, state.x_start[node], state.v_start[node]
+    frame, point, x, v = state.plane_frame, state.plane_point, state.x_start[node], state.v_start[node]
     gap = 0.0
     for k in range(3):
         gap += frame[0, k] * (x[k] + h * v[k] - point[k])
@@ -129,12 +130,24 @@ def set_out_for(model: Model, state: State, node: int, h: float) -> float:
 @stage
 def bone_nears(model: Model, state: State) -> float:
     """How fast the fastest driven node comes towards the plane in this step [m/s], 0 when none does: skin follows."""
-    frame, driven, velocities = model.plane_frame, model.driven, state.driven_velocity
-    most = 0.0
+    frame, driven, velocities = state.plane_frame, model.driven, state.driven_velocity
+    most: float = 0.0
     for d in range(driven.shape[0]):
         v = velocities[driven[d]]
         most = max(most, -(frame[0, 0] * v[0] + frame[0, 1] * v[1] + frame[0, 2] * v[2]))
+    if model.has_bone:
+        most += state.bone_reach[0]
     return most
+
+
+@stage
+def carried(state: State, x: Floats, axis: int) -> float:
+    """Velocity of the plane's point at x along its tangent `axis` [m/s]."""
+    m, d, p = state.plane_motion, state.plane_frame[axis], state.plane_point
+    a, b, c = x[0] - p[0], x[1] - p[1], x[2] - p[2]
+    along: float = d[0] * (m[0] + m[4] * c - m[5] * b) + d[1] * (m[1] + m[5] * a - m[3] * c)
+    along += d[2] * (m[2] + m[3] * b - m[4] * a)
+    return along
 
 
 @stage

@@ -13,8 +13,9 @@ Under the `tensor` limit, the limit forces Λ = Σ λ of a tetrahedron (of the l
 that need not be positive, but its size is about Λ r_a · r_b; `limits.viscosity` times so much is added to h² K, where
 it acts as a viscosity h Λ / vol: nothing at rest, and an end to the chatter where limits cannot all hold.
 
-g_a · g_b = r_a · r_b does not turn: that part of A is known beforehand (Model.laplace). Driven nodes are no unknowns:
-their velocity enters as the strain (h + β) sym(RᵀḞ_driven) that it gives their tetrahedra within the step.
+g_a · g_b = r_a · r_b does not turn: that part of A is known beforehand (Model.laplace). Driven nodes are no unknowns
+(but for those of a bone that yields, see bone.py): their velocity enters as the strain (h + β) sym(RᵀḞ_driven) that it
+gives their tetrahedra within the step.
 """
 
 from __future__ import annotations
@@ -42,12 +43,19 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
     """
     rhs, free, masses, gravity = state.rhs, model.free, model.mass, model.gravity
     v = state.v_start if again else state.v
-    rhs[-1] = 0.0
-    for k in range(free.shape[0]):
+    nf = free.shape[0]
+    for k in range(nf, rhs.shape[0]):
+        store4(rhs, k, 0, splat4(0.0))
+    for k in range(nf):
         n = free[k]
         mass = masses[n]
         for i in range(3):
             rhs[k, i] = mass * (v[n, i] + h * gravity[i])
+    if model.has_bone:
+        for d in range(model.driven.shape[0]):
+            n = model.driven[d]
+            for i in range(3):
+                rhs[nf + 3 + d, i] = masses[n] * (v[n, i] + h * gravity[i])
     beta = model.damping_stiffness
     stresses(model, state, h, beta if again else h + beta)
     if anew:
@@ -59,19 +67,27 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
         w, product, part = state.slot_velocity, state.slot_product, h / (h + beta)
         slot_velocities(model, state)
         clear(product)
-        subtract_product(model.block_row, model.block_column, state.A, w, product)
+        subtract_product(nf, model.block_row, model.block_column, state.A, w, product)
         add(rhs, rhs, product, -part)
-        for k in range(free.shape[0]):
-            mass = part * (1.0 + h * model.damping_mass) * masses[free[k]]
-            store4(rhs, k, 0, load4(rhs, k, 0) - load4(w, k, 0) * mass)
+        inertia = part * (1.0 + h * model.damping_mass)
+        for k in range(nf):
+            store4(rhs, k, 0, load4(rhs, k, 0) - load4(w, k, 0) * (inertia * masses[free[k]]))
+        if model.has_bone:
+            for d in range(model.driven.shape[0]):
+                k = nf + 3 + d
+                store4(rhs, k, 0, load4(rhs, k, 0) - load4(w, k, 0) * (inertia * masses[model.driven[d]]))
 
 
 @stage
 def slot_velocities(model: Model, state: State) -> None:
-    """state.v of the free nodes, in slot order, into state.slot_velocity."""
+    """state.v, in slot order, into state.slot_velocity; nothing for driven nodes that are no unknowns."""
     w, v, free = state.slot_velocity, state.v, model.free
-    for k in range(free.shape[0]):
+    nf = free.shape[0]
+    for k in range(nf):
         store4(w, k, 0, load4(v, free[k], 0))
+    if model.has_bone:
+        for d in range(model.driven.shape[0]):
+            store4(w, nf + 3 + d, 0, load4(v, model.driven[d], 0))
 
 
 @formula
@@ -141,10 +157,13 @@ def matrix(model: Model, state: State, h: float) -> None:
     weight = h * (h + model.damping_stiffness)
     inertia, viscosity = 1.0 + h * model.damping_mass, model.limit_viscosity * h * h
     nf = free.shape[0]
+    bones = nf + model.block_row.shape[0]  # the first diagonal block of a bone's node
     for k in range(A.shape[0]):
         same = weight * lame_mu * laplace[k]
         if k < nf:
             same += inertia * mass[free[k]]
+        elif k >= bones:
+            same += inertia * mass[model.driven[k - bones]]
         for j in range(3):
             store4(A, k, j, splat4(0.0))
         A[k, 0, 0] = A[k, 1, 1] = A[k, 2, 2] = same

@@ -19,7 +19,7 @@ import scipy.sparse.linalg
 
 from ..arrays import Floats, Ints
 from .compile import kernel
-from .lanes import Lanes, aligned, fill4, lane, load4, splat4, store4, sums3
+from .lanes import Lanes, aligned, fill4, lane, load4, load8, splat4, store4, store8, sums3
 
 NODE_LANES = 16  # right-hand sides solved together are those of so many nodes:
 LANES = 3 * NODE_LANES  # a fixed, contiguous inner loop that vectorises
@@ -308,6 +308,32 @@ def solve(pattern: Pattern, lower: Floats, inverse: Floats, y: Floats) -> None:
             x = load4(y, row[p], 0)
             a, b, c = a + load4(lower, p, 0) * x, b + load4(lower, p, 1) * x, c + load4(lower, p, 2) * x
         store4(y, k, 0, load4(y, k, 0) - sums3(a, b, c))
+
+
+@kernel
+def solve8(pattern: Pattern, lower: Floats, inverse: Floats, Y: Floats) -> None:
+    """Replace the eight right-hand sides Y (nf, 3, 8), in slot order, by A⁻¹ Y."""
+    start, row = pattern.start, pattern.row
+    nf = inverse.shape[0]
+    for k in range(nf):
+        a, b, c = load8(Y, k, 0), load8(Y, k, 1), load8(Y, k, 2)
+        for p in range(start[k], start[k + 1]):
+            for j in range(3):
+                left = load8(Y, row[p], j)
+                store8(Y, row[p], j, left - a * lower[p, 0, j] - b * lower[p, 1, j] - c * lower[p, 2, j])
+    for k in range(nf - 1, -1, -1):
+        x, y, z = load8(Y, k, 0), load8(Y, k, 1), load8(Y, k, 2)
+        for j in range(3):
+            store8(Y, k, j, x * inverse[k, 0, j] + y * inverse[k, 1, j] + z * inverse[k, 2, j])
+        x, y, z = load8(Y, k, 0), load8(Y, k, 1), load8(Y, k, 2)
+        for p in range(start[k], start[k + 1]):
+            a, b, c = load8(Y, row[p], 0), load8(Y, row[p], 1), load8(Y, row[p], 2)
+            x = x - (a * lower[p, 0, 0] + b * lower[p, 0, 1] + c * lower[p, 0, 2])
+            y = y - (a * lower[p, 1, 0] + b * lower[p, 1, 1] + c * lower[p, 1, 2])
+            z = z - (a * lower[p, 2, 0] + b * lower[p, 2, 1] + c * lower[p, 2, 2])
+        store8(Y, k, 0, x)
+        store8(Y, k, 1, y)
+        store8(Y, k, 2, z)
 
 
 @kernel

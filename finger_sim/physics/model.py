@@ -26,19 +26,20 @@ class Model(NamedTuple):
     """Rest shape, masses, patterns and coefficients.
 
     n nodes, T tetrahedra, in B batches of 8 lanes (the last one filled up with tetrahedra of no volume); nf free nodes,
-    "slots" 0 … nf − 1; slot nf stands for driven nodes and for none. Node pairs e of a tetrahedron: see PAIRS. A has
-    `nf` diagonal blocks and `na` below the diagonal: block k < nf is the diagonal one of slot k, block nf + p the p-th
-    of the others. Blocks lie by columns, each padded to four numbers.
+    "slots" 0 … nf − 1; slot nf stands for driven nodes and for none. Where the bone yields, slots nf + 1 and nf + 2 are
+    its own and the others those of its nodes (bone.py). Node pairs e of a tetrahedron: see PAIRS. A has `nf` diagonal
+    blocks and `na` below the diagonal: block k < nf is the diagonal one of slot k, block nf + p the p-th of the others;
+    with such a bone, then come its nodes' diagonal blocks. Blocks lie by columns, each padded to four numbers.
     """
 
     tets: Ints  # (T, 4) nodes of each tetrahedron
     gradients: Floats  # (T, 4, 3) rows r_n of D_m⁻¹ in material axes [1/m]; r_4 = −(r_1 + r_2 + r_3) (Eq. 2)
     volume: Floats  # (T,) rest volume [m³]
     mass: Floats  # (n,) lumped mass [kg]
-    mobility: Floats  # (nf + 1,) 1 / mass of each slot [1/kg], 0: driven
+    mobility: Floats  # (slots,) 1 / mass of each slot [1/kg], 0: driven
     length: float  # cube root of the mean tetrahedron volume [m]
     free: Ints  # (nf,) node of each slot
-    slot: Ints  # (n,) slot of each node, nf: driven
+    slot: Ints  # (n,) slot of each node
     driven: Ints  # (nd,) driven nodes
     tet_slot: Ints  # (T, 4) slots of a tetrahedron's nodes
     tet_place: Ints  # (T, 10) block of the factorisation that each node pair adds to, −1: none (a driven node)
@@ -55,8 +56,8 @@ class Model(NamedTuple):
     assembly_dot: Floats  # (k,) r_a · r_b of their nodes [1/m²]
     block_row: Ints  # (na,) slot of each block below the diagonal of A
     block_column: Ints  # (na,)
-    block_place: Ints  # (na,) where it is in the factorisation
-    laplace: Floats  # (nf + na,) Σ vol r_a · r_b of each block [m]: its part that does not turn
+    block_place: Ints  # (…,) where it is in the factorisation; those of a bone's nodes, the last ones, are not in it
+    laplace: Floats  # (blocks,) Σ vol r_a · r_b of each block [m]: its part that does not turn
     pattern: Pattern  # of the factorisation of A
     surface_nodes: Ints  # (k,) nodes of the boundary
     contact_nodes: Ints  # (c,) those of them that are free
@@ -75,8 +76,11 @@ class Model(NamedTuple):
     limit_inertia: float  # a limit is at least so many times as stiff as the inertia behind it in one step
     limit_viscosity: float  # of limit forces that turn, in units of themselves: see elasticity.py
     has_plane: bool
-    plane_frame: Floats  # (3, 3) rows: unit normal and two tangents, world
-    plane_point: Floats  # (3,) [m], world
+    has_bone: bool  # the driven nodes are a rigid body on a spring: see bone.py
+    rest_driven: Floats  # (nd, 3) where the mesh has them [m]; empty without has_bone
+    bone_lever: float  # rms distance of its nodes from its origin [m]: torques are judged as forces there
+    spring: Floats  # (2, 2) stiffness, damping [N/m, N s/m]; the same of rotation [N m/rad, N m s/rad]
+    spring_limit: Floats  # (2,) largest force [N] and torque [N m]
     mu_friction: float  # Coulomb μ
     contact_compliance: float  # 1 / k_n [m/N]; 0: rigid
     method: int  # PGS or NEWTON
@@ -104,6 +108,24 @@ class State(NamedTuple):
     factored_holds: Ints  # (1,) signature of what held in the last factorisation: see newton.evaluate
     origin: Floats  # (3,) origin of the finger frame at the end of the step, world [m]: wrenches are about it
     driven_velocity: Floats  # (n, 4) velocities of driven nodes in this step [m/s], 0: free
+    plane_frame: Floats  # (3, 3) rows: unit normal of the plane at the step's end and two tangents, world
+    plane_point: Floats  # (3,) a point of it [m], world
+    plane_motion: Floats  # (6,) velocity of that point [m/s] and angular velocity [rad/s] in the step
+    target: Floats  # (14,) where a yielding bone is wanted at the end: position, orientation, velocities; 1: it moves
+    bone: Floats  # (14,) pose of the bone (finger frame) at the step's start, then at x: position, orientation
+    twist: Floats  # (6,) its velocity at its origin [m/s] and angular velocity [rad/s], world
+    arms: Floats  # (nd, 4) its nodes from its origin, world [m]
+    bone_base: Floats  # (6,) wrench of the spring at δ = 0, before its limits [N, N m]
+    bone_load: Floats  # (6,) what bears the body's weight [N, N m]
+    bone_stop: Floats  # (9,) gradient of the bone's gap to the plane, the gap [m], stiffness [N/m], force [N]
+    bone_reach: Floats  # (1,) [m/s] what the spring may add to the bone's speed in a step
+    bone_pulls: Floats  # (2, 4) spring at its limit: direction, share of its pull that is left; zeros and 1: not
+    bone_holds: Ints  # (2,) which of PULLED, TWISTED, STOPPED hold, and held when factored
+    bone_S: Floats  # (6, 6) Cholesky factor of S
+    border: Floats  # (nf, 3, 8) B, two lanes empty
+    border_solved: Floats  # (nf, 3, 8) H_ff⁻¹ B
+    bone_scratch: Floats  # (3, 8)
+    coupling: Floats  # (6,) wrench of the spring on the bone in the last step, about its origin, world [N, N m]
     quaternion: Floats  # (B, 4, 8) of R, x y z w
     R: Floats  # (B, 9, 8) rotation of each tetrahedron at x: F = R (I + E), from material axes to the world
     inverted: Ints  # (1,) batches with a tetrahedron that is inside out
@@ -124,9 +146,9 @@ class State(NamedTuple):
     L_diagonal: Floats  # (nf, 3, 4) factorisation: D
     L_lower: Floats  # (nnz, 3, 4) L below its diagonal
     L_inverse: Floats  # (nf, 3, 4) D⁻¹
-    rhs: Floats  # (nf + 1, 4)
-    slot_velocity: Floats  # (nf + 1, 4) velocities of the free nodes in slot order
-    slot_product: Floats  # (nf + 1, 4) scratch
+    rhs: Floats  # (slots, 4)
+    slot_velocity: Floats  # (slots, 4) velocities in slot order
+    slot_product: Floats  # (slots, 4) scratch
     bound: Floats  # (B, 2, 8) no eigenvalue of A E A is above (stretch) or, for compression, of −A E A
     near: Ints  # (near,) 2 t + side of what may be at a limit: sides 0 stretch, 1 compression
     near_count: Ints  # (1,) how many they are
@@ -143,12 +165,12 @@ class State(NamedTuple):
     scale: Floats  # (rows,) [N] of nodal force per unit of lam
     lam: Floats  # (rows,) row forces
     best: Floats  # (rows,) row forces of the least residual so far
-    change: Floats  # (nf + 1, 4) `newton`: change δ of the free nodes' velocities since the rows were formed
-    direction: Floats  # (nf + 1, 4) its Newton direction
-    tried: Floats  # (nf + 1, 4) δ on trial
-    best_change: Floats  # (nf + 1, 4) δ of the least residual so far
-    start_residual: Floats  # (nf + 1, 4) b − A v at δ = 0, then what remains at δ
-    next_residual: Floats  # (nf + 1, 4) at the δ on trial
+    change: Floats  # (slots, 4) `newton`: change δ of the free nodes' velocities since the rows were formed
+    direction: Floats  # (slots, 4) its Newton direction
+    tried: Floats  # (slots, 4) δ on trial
+    best_change: Floats  # (slots, 4) δ of the least residual so far
+    start_residual: Floats  # (slots, 4) b − A v at δ = 0, then what remains at δ
+    next_residual: Floats  # (slots, 4) at the δ on trial
     stiffness: Floats  # (rows,) what each row adds to the Hessian [N/m]: 1 / compliance where it carries a force
     factored: Floats  # (rows,) the same, as the factorisation in L has it
     slip: Floats  # (contacts, 4) unit slip direction of a node's contact force (world), and μ; zeros: sticks
@@ -201,12 +223,16 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
     pattern = analyse(np.unique(np.sort(edges[(edges >= 0).all(axis=1)], axis=1), axis=0), len(graph_nodes))
     free = graph_nodes[pattern.order]
     nf = len(free)
+    has_bone = scene.coupling.type == "virtual"
     slot = np.full(n, nf, np.int64)
     slot[free] = np.arange(nf)
+    if has_bone:
+        slot[driven] = nf + 3 + np.arange(len(driven))
+    slots = int(slot.max()) + 1 if has_bone else nf + 1
     tet_slot = slot[tets]
     tet_moves = (tet_slot < nf).sum(axis=1)
     blocks = _blocks(tet_slot, nf, pattern)
-    laplace = np.zeros(nf + len(blocks.row))
+    laplace = np.zeros(nf + len(blocks.row) + (len(driven) if has_bone else 0))
     t, row, column, block = blocks.assembly.T
     dot = np.einsum("ki,ki->k", gradients[t, row], gradients[t, column])
     np.add.at(laplace, block, volume[t] * dot)
@@ -225,7 +251,7 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
         gradients=np.ascontiguousarray(gradients),
         volume=volume,
         mass=mass,
-        mobility=np.append(1.0 / mass[free], 0.0),
+        mobility=np.append(1.0 / mass[free], np.zeros(slots - nf)),
         length=length,
         free=free,
         slot=slot,
@@ -240,7 +266,7 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
         lane_slot=np.ascontiguousarray(_in_lanes(tet_slot)),
         lane_gradients=_aligned(_in_lanes(gradients.reshape(-1, 12))),
         lane_volume=_aligned(_in_lanes(np.concatenate([volume, np.zeros(-len(tets) % LANES)]))),
-        lane_driven=_in_lanes((tet_moves > 0) & (tet_moves < 4)).any(axis=1).astype(np.int64),
+        lane_driven=_in_lanes((tet_moves > 0) & (tet_moves < 4) & (not has_bone)).any(axis=1).astype(np.int64),
         assembly=blocks.assembly,
         assembly_dot=dot,
         block_row=blocks.row,
@@ -261,14 +287,17 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
         compress_room=limits.compress_room if limits else np.full(3, np.inf),
         limit_factors=factors,
         isochoric_strain=isochoric,
-        limit_compliance=1.0 / (limits.stiffness * young) if limits and limits.stiffness else 0.0,
+        limit_compliance=limit_compliance(scene),
         limit_inertia=limits.inertia if limits else 0.0,
         limit_viscosity=limits.viscosity if limits else 0.0,
         has_plane=plane is not None,
-        plane_frame=plane_frame(plane.unit_normal) if plane else np.eye(3),
-        plane_point=np.array(plane.point) if plane else np.zeros(3),
+        has_bone=has_bone,
+        rest_driven=mesh.points[driven] if has_bone else np.zeros((0, 3)),
+        bone_lever=float(np.sqrt((mesh.points[driven] ** 2).sum(axis=1).mean())) or length if has_bone else length,
+        spring=spring(scene),
+        spring_limit=np.array([scene.coupling.force_limit, scene.coupling.torque_limit]),
         mu_friction=plane.friction if plane else 0.0,
-        contact_compliance=1.0 / (plane.stiffness * young * length) if plane and plane.stiffness else 0.0,
+        contact_compliance=contact_compliance(scene, length),
         method=METHODS[solver.method],
         tolerance=solver.tolerance,
         max_iterations=solver.max_iterations,
@@ -281,20 +310,40 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
 
 def with_live_values(model: Model, scene: Scene) -> Model:
     """The model with those fields that may change while running as the scene now has them."""
-    solver = scene.solver
-    model = model._replace(
+    solver, plane, limits = scene.solver, scene.plane, scene.limits
+    return model._replace(
         tolerance=solver.tolerance,
         max_iterations=solver.max_iterations,
         hold=LEVELS[solver.level],
         settles=solver.settle and solver.level == "standard",
         deadline=solver.deadline or 0.0,
+        limit_compliance=limit_compliance(scene),
+        limit_inertia=limits.inertia if limits else 0.0,
+        limit_viscosity=limits.viscosity if limits else 0.0,
+        mu_friction=plane.friction if plane else 0.0,
+        contact_compliance=contact_compliance(scene, model.length),
+        spring=spring(scene),
+        spring_limit=np.array([scene.coupling.force_limit, scene.coupling.torque_limit]),
     )
-    if scene.plane is None:
-        return model
-    return model._replace(
-        plane_frame=plane_frame(scene.plane.unit_normal),
-        plane_point=np.array(scene.plane.point),
-        mu_friction=scene.plane.friction,
+
+
+def limit_compliance(scene: Scene) -> float:
+    """1 / (κ E) of the scene's limits [1/Pa]; 0: rigid, or none."""
+    limits = scene.limits
+    return 1.0 / (limits.stiffness * scene.material.young) if limits and limits.stiffness else 0.0
+
+
+def contact_compliance(scene: Scene, length: float) -> float:
+    """1 / k_n of the scene's plane [m/N] on a mesh of this length; 0: rigid, or none."""
+    plane = scene.plane
+    return 1.0 / (plane.stiffness * scene.material.young * length) if plane and plane.stiffness else 0.0
+
+
+def spring(scene: Scene) -> Floats:
+    """Stiffness and damping of the scene's coupling, of translation and of rotation, (2, 2)."""
+    coupling = scene.coupling
+    return np.array(
+        [[coupling.stiffness, coupling.damping], [coupling.rotational_stiffness, coupling.rotational_damping]]
     )
 
 
@@ -345,7 +394,16 @@ def _blocks(tet_slot: Ints, nf: int, pattern: Pattern) -> _Blocks:
     diagonal = exists & (rows == columns)
     block[diagonal] = tet_place[diagonal] = rows[diagonal]
     block[below], tet_place[below] = nf + inverse, place[inverse]
-    t, e = np.nonzero(exists)
+    bone = (rows > nf) & (columns != nf)
+    if bone.any():
+        beside = bone & (rows != columns)
+        slots = rows.max() + 1
+        numbers, inverse = np.unique(rows[beside] * slots + columns[beside], return_inverse=True)
+        block[beside] = nf + len(row) + inverse
+        row, column = np.append(row, numbers // slots), np.append(column, numbers % slots)
+        diagonal = bone & (rows == columns)
+        block[diagonal] = nf + len(row) + rows[diagonal] - (nf + 3)
+    t, e = np.nonzero(block >= 0)
     assembly = np.stack([t, pair_row[t, e], pair_column[t, e], block[t, e]], axis=1)
     return _Blocks(tet_place, pair_row, pair_column, assembly, row, column, place)
 
@@ -375,7 +433,9 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
     if pgs:
         rows = min(MAX_ROWS, rows)
     touched = min(nf, 4 * rows) if pgs else 0
-    newton = 0 if pgs else nf + 1
+    slots = len(model.mobility)
+    newton = 0 if pgs else slots
+    bone = len(model.rest_driven)
     swept = rows if pgs else 0
     near = padded(2 * count) if tensor else 0
     again = n if model.relinearizations or (limited and not pgs) else 0
@@ -392,6 +452,24 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
         factored_holds=np.zeros(1, np.int64),
         origin=np.zeros(3),
         driven_velocity=aligned(n, 4),
+        plane_frame=np.eye(3),
+        plane_point=np.zeros(3),
+        plane_motion=np.zeros(6),
+        target=np.zeros(14),
+        bone=np.zeros(14),
+        twist=np.zeros(6),
+        arms=aligned(bone, 4),
+        bone_base=np.zeros(6),
+        bone_load=np.zeros(6),
+        bone_stop=np.zeros(9),
+        bone_reach=np.zeros(1),
+        bone_pulls=np.zeros((2, 4)),
+        bone_holds=np.zeros(2, np.int64),
+        bone_S=np.zeros((6, 6)),
+        border=aligned(nf if bone else 0, 3, LANES),
+        border_solved=aligned(nf if bone else 0, 3, LANES),
+        bone_scratch=aligned(3, LANES),
+        coupling=np.zeros(6),
         quaternion=_aligned(np.broadcast_to(np.array([[0.0], [0.0], [0.0], [1.0]]), (batches, 4, LANES))),
         R=aligned(batches, 9, LANES),
         inverted=np.zeros(1, np.int64),
@@ -408,13 +486,13 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
         held_tets=np.zeros(1, np.int64),
         active_rows=np.zeros(count if limited else 0, np.int64),
         g=aligned(LANES * batches, 4, 4),
-        A=aligned(nf + len(model.block_row), 3, 4),
+        A=aligned(len(model.laplace), 3, 4),
         L_diagonal=aligned(nf, 3, 4),
         L_lower=aligned(nnz, 3, 4),
         L_inverse=aligned(nf, 3, 4),
-        rhs=aligned(nf + 1, 4),
-        slot_velocity=aligned(nf + 1, 4),
-        slot_product=aligned(nf + 1, 4),
+        rhs=aligned(slots, 4),
+        slot_velocity=aligned(slots, 4),
+        slot_product=aligned(slots, 4),
         bound=aligned(batches if tensor else 0, 2, LANES),
         near=np.zeros(near, np.int64),
         near_count=np.zeros(1, np.int64),

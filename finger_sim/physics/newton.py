@@ -23,11 +23,12 @@ import math
 from typing import TYPE_CHECKING
 
 from ..arrays import Floats
+from .bone import bone_residual, factor_bone, solve_all
 from .clock import FACTOR, SOLVE, lap, seconds
 from .compile import formula, stage
 from .elasticity import slot_velocities
 from .lanes import Lanes, lane, load4, splat4, store4, sum3
-from .linear_solver import factor, solve
+from .linear_solver import factor
 from .vectors import add, clear, copy, copy_first, inner, subtract_product
 from .work import CORRECTIONS, FACTORISATIONS
 
@@ -41,7 +42,7 @@ _STALLED, _PROGRESS = 20, 0.9  # so many iterations without that much progress e
 _SLOW = 0.3  # an iteration that leaves more of the residual than this asks for new factors
 OPEN, STICKS, SLIPS = 0.0, 1.0, 2.0
 _OTHER_MATRIX = -1  # in place of that number: the factors at hand, if any, are not of this A
-_STICKING, _SLIPPING = 1 << 20, 1 << 40  # places in the number that counts what holds
+_STICKING, _SLIPPING, _BONE = 1 << 20, 1 << 40, 1 << 60  # places in the number that counts what holds
 
 
 @stage
@@ -62,12 +63,12 @@ def newton(
         state.change, state.tried, state.direction, state.best, state.best_change
     )  # fmt: skip
     lam = state.lam
-    if rows == 0:
+    if rows == 0 and not model.has_bone:
         copy(direction, state.start_residual)
         lap(state.laps, state.time, SOLVE)
         definite = state.factored_holds[0] == 0 or refactor(model, state, h, 0, 0, 0)
         lap(state.laps, state.time, FACTOR)
-        solve(model.pattern, state.L_lower, state.L_inverse, direction)
+        solve_all(model, state, direction)
         add_to_velocities(model, state, direction)
         return 0, 0.0, definite
     clear(change)
@@ -115,6 +116,8 @@ def newton(
             break
         stale = residual > _SLOW * before
     copy_first(lam, best, rows)
+    if model.has_bone:
+        bone_residual(model, state, h, best_change, state.next_residual)
     add_to_velocities(model, state, best_change)
     return iterations, least, True
 
@@ -123,12 +126,9 @@ def newton(
 def newton_direction(model: Model, state: State, h: float, contacts: int) -> float:
     """H⁻¹ r into state.direction, friction's unsymmetric part included; returns dᵀr."""
     direction, other, r, J = state.direction, state.tried, state.next_residual, state.J
-    pattern, lower, inverse, slip, stiffness = (
-        model.pattern, state.L_lower, state.L_inverse, state.slip, state.stiffness
-    )  # fmt: skip
-    row_slot = state.row_slot
+    slip, stiffness, row_slot = state.slip, state.stiffness, state.row_slot
     copy(direction, r)
-    solve(pattern, lower, inverse, direction)
+    solve_all(model, state, direction)
     ascent = inner(direction, r)
     for _ in range(_CORRECTIONS):
         slips = False
@@ -143,7 +143,7 @@ def newton_direction(model: Model, state: State, h: float, contacts: int) -> flo
         if not slips:
             break
         state.work[CORRECTIONS] += 1
-        solve(pattern, lower, inverse, other)
+        solve_all(model, state, other)
         along = inner(other, r)
         if not along > 0.0:
             break
@@ -157,7 +157,8 @@ def remainder(model: Model, state: State) -> None:
     """b − A v of the free nodes' velocities into state.start_residual."""
     slot_velocities(model, state)
     copy(state.start_residual, state.rhs)
-    subtract_product(model.block_row, model.block_column, state.A, state.slot_velocity, state.start_residual)
+    nf = model.free.shape[0]
+    subtract_product(nf, model.block_row, model.block_column, state.A, state.slot_velocity, state.start_residual)
 
 
 @stage
@@ -173,10 +174,10 @@ def evaluate(
     constant, compliance, stiffness, factored, slip = (
         state.constant, state.compliance, state.stiffness, state.factored, state.slip
     )  # fmt: skip
-    mu_friction = model.mu_friction
+    mu_friction, nf = model.mu_friction, model.free.shape[0]
     copy(r, state.start_residual)
     if not still:
-        subtract_product(model.block_row, model.block_column, state.A, change, r)
+        subtract_product(nf, model.block_row, model.block_column, state.A, change, r)
     largest, held, changed = 0.0, 0, False
     for c in range(contacts // 3):
         row = 3 * c
@@ -224,11 +225,18 @@ def evaluate(
         else:
             lam[row] = stiffness[row] = 0.0
         changed |= (stiffness[row] > 0.0) != (factored[row] > 0.0)
-    store4(r, r.shape[0] - 1, 0, splat4(0.0))
+    store4(r, nf, 0, splat4(0.0))
+    if model.has_bone:
+        bone = bone_residual(model, state, h, change, r)
+        changed |= bone != state.bone_holds[1]
+        state.bone_holds[0] = bone
+        held += bone * _BONE
     worst = total = 0.0
     for k in range(r.shape[0]):
         force = load4(r, k, 0)
         size = sum3(force * force)
+        if k == nf + 2:
+            size /= model.bone_lever * model.bone_lever
         worst = max(worst, size)
         total += size
     if not total < math.inf:  # max() passes over what is not a number
@@ -274,7 +282,10 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int, hol
                     add_outer(D, place, load4(J, row, i) * weight, J, row, k)
                 else:
                     add_outer(L, place, load4(J, row, i) * weight, J, row, k)
-    return factor(model.pattern, D, L, state.L_inverse)
+    definite = factor(model.pattern, D, L, state.L_inverse)
+    if definite and model.has_bone:
+        definite = factor_bone(model, state, h, contacts, rows, state.bone_holds[0])
+    return definite
 
 
 @formula
@@ -295,7 +306,15 @@ def add_outer(B: Floats, p: int, a: Lanes, J: Floats, row: int, n: int) -> None:
 
 @stage
 def add_to_velocities(model: Model, state: State, change: Floats) -> None:
-    """Free nodes' velocities at δ."""
+    """Velocities at δ."""
     v, free = state.v, model.free
-    for k in range(free.shape[0]):
+    nf = free.shape[0]
+    for k in range(nf):
         store4(v, free[k], 0, load4(v, free[k], 0) + load4(change, k, 0))
+    if model.has_bone:
+        for i in range(3):
+            state.twist[i] += change[nf + 1, i]
+            state.twist[3 + i] += change[nf + 2, i]
+        for d in range(model.driven.shape[0]):
+            n = model.driven[d]
+            store4(v, n, 0, load4(v, n, 0) + load4(change, nf + 3 + d, 0))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..arrays import Floats
 from ..locking import STRAINS
+from .bone import aim_bone, move_bone, place_driven
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
@@ -75,7 +76,8 @@ _EXCEEDED = 1.5  # strain/limit from which on LIMIT_EXCEEDED is set
 def step(model: Model, state: State, targets: Floats, h: float) -> None:
     """Advance `state` by h [s]; what happened goes into state.result.
 
-    targets (nd, 3): where the driven nodes are to be at the end [m], world.
+    targets (nd, 3): where the driven nodes are to be at the end [m], world. Not looked at where the bone yields: it is
+    drawn to the pose in state.target.
 
     state.R, E (F, U, s, V) hold the kinematics of the start (Eq. 1-4), those of the end are left for the next step.
     After STEP_REJECTED the positions are those of the start and the velocities are of no use: set both anew.
@@ -106,6 +108,7 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
         state.result[STATUS] = _REJECTED
         return
     fastest = integrate(model, state, targets, h)  # x += h v
+    state.bone[:7] = state.bone[7:]
     kinematics(model, state)
     lap(state.laps, state.time, KINEMATICS)
     state.age[0] = (state.age[0] + 1) % model.hold
@@ -128,6 +131,8 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
     work[LINEAR] += 1
     anew = state.age[0] == 0
     assemble(model, state, h, anew, again > 0)  # A and b: backward Euler
+    if model.has_bone:
+        aim_bone(model, state, h, again > 0)
     lap(state.laps, state.time, ASSEMBLY)
     if model.method == PGS and not unconstrained(model, state, h):  # v_free = A⁻¹ b
         return 0, 0, False
@@ -191,6 +196,8 @@ def since_linearised(state: State, again: int) -> None:
 def drive(model: Model, state: State, targets: Floats, h: float) -> bool:
     """Velocities that take the driven nodes to their targets; whether any has to move (or none is driven)."""
     moved: bool = model.driven.shape[0] == 0
+    if model.has_bone:
+        return bool(state.target[13])
     driven, x, v, driven_velocity = model.driven, state.x, state.v, state.driven_velocity
     for d in range(driven.shape[0]):
         n = driven[d]
@@ -227,6 +234,8 @@ def integrate(model: Model, state: State, targets: Floats, h: float) -> float:
     """Positions at the end of the step; driven nodes are at their targets exactly. Gives the largest speed."""
     x, v, driven = state.x, state.v, model.driven
     fastest = total = farthest = 0.0
+    if model.has_bone:
+        move_bone(model, state, h)
     a, b, c = state.origin[0], state.origin[1], state.origin[2]
     for n in range(x.shape[0]):
         w = load4(v, n, 0)
@@ -236,9 +245,12 @@ def integrate(model: Model, state: State, targets: Floats, h: float) -> float:
         square = sum3(w * w)
         fastest = max(fastest, square)
         total += square
-    for d in range(driven.shape[0]):
-        for i in range(3):
-            x[driven[d], i] = targets[d, i]
+    if model.has_bone:
+        place_driven(model, state)
+    else:
+        for d in range(driven.shape[0]):
+            for i in range(3):
+                x[driven[d], i] = targets[d, i]
     fastest = math.sqrt(fastest)
     state.result[REACH] = math.sqrt(farthest)
     state.clearance[0] -= h * fastest
@@ -254,6 +266,9 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
     if model.has_plane:
         result[CONTACTS] = store_contact(model, state, contacts)
         result[PENETRATION] = deepest(model, state)
+        if model.has_bone:
+            for i in range(6):
+                state.wrench[i] += state.bone_stop[8] * state.bone_stop[i]
     if model.projection != NONE:
         if model.projection == TENSOR:
             result[STRAIN_RATIO] = greatest_strain(model, state)

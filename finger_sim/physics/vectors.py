@@ -1,4 +1,4 @@
-"""Vectors of all free nodes, (nf + 1, 4), in slot order: the last one stands for driven nodes and is zero."""
+"""Vectors in slot order, (slots, 4): free nodes, one that is empty and zero, then a bone and its nodes (bone.py)."""
 
 from __future__ import annotations
 
@@ -38,9 +38,8 @@ def inner(a: Floats, b: Floats) -> float:
 
 
 @stage
-def subtract_product(block_row: Ints, block_column: Ints, A: Floats, v: Floats, out: Floats) -> None:
-    """out −= A v; A symmetric, in blocks as Model says."""
-    nf = v.shape[0] - 1
+def subtract_product(nf: int, block_row: Ints, block_column: Ints, A: Floats, v: Floats, out: Floats) -> None:
+    """out −= A v; A symmetric, in blocks as Model says; nf free nodes."""
     for k in range(nf):
         y = load4(A, k, 0) * v[k, 0] + load4(A, k, 1) * v[k, 1] + load4(A, k, 2) * v[k, 2]
         store4(out, k, 0, load4(out, k, 0) - y)
@@ -52,6 +51,11 @@ def subtract_product(block_row: Ints, block_column: Ints, A: Floats, v: Floats, 
         out[j, 0] -= sum3(a * x)
         out[j, 1] -= sum3(b * x)
         out[j, 2] -= sum3(c * x)
+    first = nf + block_row.shape[0]
+    for k in range(first, A.shape[0]):
+        d = k - first + nf + 3
+        y = load4(A, k, 0) * v[d, 0] + load4(A, k, 1) * v[d, 1] + load4(A, k, 2) * v[d, 2]
+        store4(out, d, 0, load4(out, d, 0) - y)
 
 
 @formula

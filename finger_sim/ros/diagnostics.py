@@ -9,6 +9,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from ..budget import LADDER
+from ..passivity import stable_stiffness as _stable
 from .loop import Progress, RateLoop
 from .outputs import Outputs
 from .stepper import Stepper, Window
@@ -23,6 +24,8 @@ class Refusals:
 
     count: int = 0
     reason: str = ""
+    said: set[str] = dataclasses.field(default_factory=set)
+    """Inputs of which the first refusal was logged."""
 
 
 class Reporter:
@@ -71,7 +74,8 @@ class Reporter:
         median, p99 = loop.step_time.percentiles(50, 99)
         late_median, late_p99 = loop.lateness.percentiles(50, 99)
         delay_median, delay_p99 = self._stepper.delay.percentiles(50, 99)
-        damping = self._outputs.options.device_damping
+        transport = self._stepper.transport.percentiles(50)[0]
+        damping, port = self._outputs.options.device_damping, self._stepper.port
         values.update(
             {
                 "real-time factor": f"{factor:.4f}",
@@ -98,7 +102,12 @@ class Reporter:
                 "steps with status": str(window.troubled),
                 "loop delay p50 [ms]": f"{delay_median * 1e3:.3f}",
                 "loop delay p99 [ms]": f"{delay_p99 * 1e3:.3f}",
-                "stable stiffness at that delay [N/m]": f"{damping / (period / 2 + delay_p99):.0f}",
+                "command transport p50 [ms]": f"{transport * 1e3:.3f}",
+                "stable stiffness at that delay [N/m]": f"{_stable(damping, period, delay_p99 + 2.0 * transport):.0f}",
+                "energy to the device [J]": f"{port.energy:.4g}",
+                "leaked [J]": f"{port.leaked:.4g}",
+                "dissipated [J]": f"{port.dissipated:.4g}",
+                "passivity factor": f"{port.factor:.3f}",
             }
         )
         self._rung(values, problems)

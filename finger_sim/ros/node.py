@@ -31,7 +31,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from ..bags import BagWriter
 from ..errors import FingerSimError, SceneError
-from ..scene import Scene
+from ..scene import Pose, Scene
 from . import parameters
 from .diagnostics import Refusals, Reporter
 from .loop import RateLoop
@@ -45,6 +45,8 @@ ANSWER_TIMEOUT = 2.0
 REPORT_PERIOD = 1.0
 """Time between two messages on /diagnostics [s]."""
 
+MOST_TRANSPORT = 1.0
+"""A command whose stamp is older than this, or younger than its receipt, was stamped by another clock [s]."""
 SWITCH_INTERVAL = 5e-5
 """How long another thread of this process may keep the interpreter when a step is due [s]."""
 
@@ -74,6 +76,7 @@ class FingerNode(Node):  # type: ignore[misc]
         self._commands = self.create_subscription(
             PoseStamped, "command_pose", self._on_command, ros_qos(COMMAND_QOS), raw=True
         )
+        self.create_subscription(PoseStamped, "plane_pose", self._on_plane, ros_qos(COMMAND_QOS), raw=True)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
         if options.record and os.path.lexists(_bag_path(options.record)):
@@ -142,14 +145,32 @@ class FingerNode(Node):  # type: ignore[misc]
         recorder = self._outputs.recorder
         if recorder is not None:
             recorder.put(self._commands.topic_name, data, received)
-        pose = check_command(deserialize_message(data, PoseStamped), self._outputs.options.world_frame)
-        if isinstance(pose, str):
-            if self._refusals.count == 0:
-                self.get_logger().warning(f"command refused: {pose}; refusals are counted in /diagnostics")
-            self._refusals.count += 1
-            self._refusals.reason = pose
-        else:
-            self._stepper.newest = Command(pose, 1e-9 * received)
+        message = deserialize_message(data, PoseStamped)
+        pose = self._accepted(message, "command")
+        if pose is not None:
+            stamp = message.header.stamp
+            transport = 1e-9 * self.get_clock().now().nanoseconds - (stamp.sec + 1e-9 * stamp.nanosec)
+            known = 0.0 <= transport <= MOST_TRANSPORT
+            self._stepper.newest = Command(pose, 1e-9 * received, transport if known else 0.0)
+
+    def _on_plane(self, data: bytes) -> None:
+        pose = self._accepted(deserialize_message(data, PoseStamped), "plane_pose")
+        if pose is not None:
+            self._stepper.plane = pose
+
+    def _accepted(self, message: PoseStamped, what: str) -> Pose | None:
+        """The pose of a message; None, counted and said once, where it is of no use."""
+        pose = check_command(message, self._outputs.options.world_frame)
+        if what == "plane_pose" and self._stepper.scene.plane is None:
+            pose = "the scene has no plane to move"
+        if not isinstance(pose, str):
+            return pose
+        if what not in self._refusals.said:
+            self._refusals.said.add(what)
+            self.get_logger().warning(f"{what} refused: {pose}; refusals are counted in /diagnostics")
+        self._refusals.count += 1
+        self._refusals.reason = f"{what}: {pose}"
+        return None
 
     def _on_set(self, given: list[Any]) -> SetParametersResult:
         try:

@@ -76,6 +76,30 @@ class NodeOptions:
         low=0,
         high=99,
     )
+    force_scale: float = field(
+        "float",
+        "What device_wrench is multiplied by, before its clamps; 0: none",
+        default=1.0,
+        low=0.0,
+        high=100.0,
+        live=True,
+    )
+    force_ramp: float = field(
+        "float",
+        "Time in which device_wrench comes in when commands start or resume",
+        default=0.2,
+        unit="s",
+        low=0.0,
+        high=60.0,
+        live=True,
+    )
+    passivity: Literal["observe", "control"] = field(
+        "choice",
+        "observe: the energy that leaks to the device is reported; control: and held by scaling device_wrench down",
+        default="observe",
+        choices=("observe", "control"),
+        live=True,
+    )
     device_damping: float = field(
         "float",
         "Damping b of the device, for the stable stiffness b / (T/2 + delay) in diagnostics",

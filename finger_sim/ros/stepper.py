@@ -10,7 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats
 from ..budget import Budget, on_rung
+from ..coupling import device_wrench
+from ..passivity import NONE, Port, motion
 from ..physics.step import Status
 from ..scene import Pose, Scene
 from ..simulator import Simulator, StepResult
@@ -24,6 +27,8 @@ class Command(NamedTuple):
     pose: Pose
     received: float
     """Steady time of receipt [s]."""
+    transport: float = 0.0
+    """Time from its stamp to its receipt by the node's clock [s]; 0 where the stamp cannot be of the same clock."""
 
 
 @dataclasses.dataclass
@@ -61,24 +66,31 @@ class Window:
 
 
 class Stepper:
-    """Owns the simulation; everything but `newest`, `window` and what is read belongs to the loop's thread.
+    """Owns the simulation; everything but `newest`, `plane`, `window` and what is read belongs to the loop's thread.
 
     newest : the command to follow; whoever receives one puts it here
+    plane  : the pose that the plane is to take, once; whoever receives one puts it here
     window : the steps since whoever reports put a new one here
     delay  : times from the receipt of a command to the wrench of its step [s]
+    transport : times from the stamp of a command to its receipt [s]
     stale  : whether the command is too old to render forces
+    port   : account of the energy that goes to the device
     """
 
     def __init__(self, scene: Scene, outputs: Outputs, clock: Any, log: Any) -> None:
         self.scene = scene
         self.newest: Command | None = None
+        self.plane: Pose | None = None
         self.window = Window()
         self.delay = Ring()
+        self.transport = Ring()
         self.stale = False
         self.budget: Budget | None = None
         self._outputs, self._clock, self._log = outputs, clock, log
         self._followed: Command | None = None
+        self._ramp = 0.0
         self._none = np.zeros(6)
+        self.port = Port(scene.dt)
 
     def prepare(self, progress: Callable[[str], None]) -> None:
         """Loads mesh and kernels. Raises FingerSimError."""
@@ -92,20 +104,50 @@ class Stepper:
         command = self.newest
         begin = time.perf_counter()
         fresh = command is not None and self._watch(command)
+        plane, self.plane = self.plane, None
         if command is None or command is self._followed:
-            out = self.sim.step()
+            out = self.sim.step(None, plane)
         else:
             if self._followed is None:
                 self.sim.reset(command.pose)
-            out = self.sim.step(command.pose)
+            out = self.sim.step(command.pose, plane)
         if self.budget is not None and self.budget.spent(time.perf_counter() - begin):
             self.sim.solve_with(on_rung(self.scene.solver, self.budget.rung))
-        device = out.device_wrench if fresh and math.isfinite(sum(out.device_wrench.tolist())) else self._none
+        device = self._rendered(out.device_wrench) if fresh else self._silenced()
+        if command is not None:
+            device = self._passive(device, command)
         self._outputs.step(self.sim, out, device, stamp)
         if command is not None and command is not self._followed:
             self._followed = command
             self.delay.add(time.monotonic() - command.received)
+            self.transport.add(command.transport)
         self.window.add(out)
+
+    def _rendered(self, wrench: Floats) -> Floats:
+        """What the device gets: scaled, ramped in, clamped; nothing where a number is not finite."""
+        options = self._outputs.options
+        self._ramp = min(1.0, self._ramp + self.scene.dt / options.force_ramp) if options.force_ramp > 0.0 else 1.0
+        scaled = device_wrench(self.scene.coupling, options.force_scale * self._ramp * wrench)
+        return scaled if math.isfinite(sum(scaled.tolist())) else self._none
+
+    def _passive(self, wrench: Floats, command: Command) -> Floats:
+        """The wrench as the port's account lets it pass; with `passivity` observe it passes as it is.
+
+        The way back to the device is taken to be as long as the way here.
+        """
+        port, limits, before = self.port, self.scene.coupling, self._followed
+        fresh = command is not before
+        moved = motion(before.pose, command.pose) if fresh and before is not None else NONE
+        delay = 2.0 * command.transport + time.monotonic() - command.received if fresh else port.period
+        port.controlled = self._outputs.options.passivity == "control"
+        port.force_limit, port.torque_limit = limits.force_limit, limits.torque_limit
+        sent = port.step(wrench.tolist(), moved, delay, fresh)
+        return np.array(sent) if port.controlled else wrench
+
+    def _silenced(self) -> Floats:
+        """Nothing; the ramp begins anew."""
+        self._ramp = 0.0
+        return self._none
 
     def reset(self) -> Pose:
         """Back to rest at the last command."""
