@@ -138,7 +138,7 @@ class Simulator:
             self._plane = self._motion.surface()
             self._place_plane()
             state.plane_motion[:] = self._motion.twist
-        start, limited = self._target, False
+        start, limited = self._target if self._yields else self.pose, False
         end = start
         if self._driven:
             end, limited = follow(scene.coupling, start, self._command, scene.dt)
