@@ -10,9 +10,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from finger_sim import Scene
+from finger_sim import Pose, Scene
 from finger_sim.ros.parameters import NodeOptions
-from finger_sim.ros.stepper import Stepper
+from finger_sim.ros.stepper import Command, Stepper
 
 
 def stepper(**options: Any) -> Stepper:
@@ -32,7 +32,7 @@ def test_it_comes_in_on_a_ramp_and_anew_after_a_pause() -> None:
         assert not node._silenced().any()
 
 
-def test_the_scale_acts_before_the_clamps() -> None:
+def test_the_clamps_hold_after_the_scale_too() -> None:
     node = stepper(force_ramp=0.0, force_scale=5.0)
     assert node._rendered(FORCE) == pytest.approx([0.0, 0.0, 10.0, 0.0, 0.5, 0.0])
     assert stepper(force_ramp=0.0, force_scale=0.0)._rendered(FORCE) == pytest.approx(np.zeros(6))
@@ -40,3 +40,31 @@ def test_the_scale_acts_before_the_clamps() -> None:
 
 def test_what_is_not_finite_is_not_sent() -> None:
     assert not stepper()._rendered(np.array([np.nan, 0.0, 1.0, 0.0, 0.0, 0.0])).any()
+
+
+def test_between_commands_the_port_keeps_the_delay_of_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 30 ms here and 30 back, and what passed since its receipt."""
+    node, told = stepper(), []
+    monkeypatch.setattr(node.port, "step", lambda wrench, motion, delay, fresh: told.append((delay, fresh)))
+    monkeypatch.setattr("finger_sim.ros.stepper.time.monotonic", lambda: 5.002)
+    command = Command(Pose(), 5.0, 0.03)
+    node._passive(FORCE, command)
+    node._followed = command
+    node._passive(FORCE, command)
+    assert told == [(pytest.approx(0.062), True), (pytest.approx(0.062), False)]
+
+
+def test_a_target_of_the_plane_is_taken_once() -> None:
+    """Each that came, however it was put there; then none until the next."""
+    outputs: Any = SimpleNamespace(options=NodeOptions(), step=lambda *_: None)
+    clock: Any = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=0))
+    node, taken = Stepper(Scene.load("finger_coupled"), outputs, clock, None), []
+    result: Any = SimpleNamespace(device_wrench=FORCE)
+    node.sim = SimpleNamespace(step=lambda command, plane: taken.append(plane) or result)  # type: ignore[assignment]
+    node.window = SimpleNamespace(add=lambda _: None)  # type: ignore[assignment]
+    targets = [Pose(), Pose((0.0, 0.0, 0.1))]
+    for target in targets:
+        node.plane = target
+        node.tick()
+        node.tick()
+    assert taken == [targets[0], None, targets[1], None]

@@ -78,7 +78,7 @@ class NodeOptions:
     )
     force_scale: float = field(
         "float",
-        "What device_wrench is multiplied by, before its clamps; 0: none",
+        "What the clamped device_wrench is multiplied by; the clamps hold after it too",
         default=1.0,
         low=0.0,
         high=100.0,

@@ -69,7 +69,7 @@ class Stepper:
     """Owns the simulation; everything but `newest`, `plane`, `window` and what is read belongs to the loop's thread.
 
     newest : the command to follow; whoever receives one puts it here
-    plane  : the pose that the plane is to take, once; whoever receives one puts it here
+    plane  : the pose that the plane is to take; whoever receives one puts it here
     window : the steps since whoever reports put a new one here
     delay  : times from the receipt of a command to the wrench of its step [s]
     transport : times from the stamp of a command to its receipt [s]
@@ -88,7 +88,8 @@ class Stepper:
         self.budget: Budget | None = None
         self._outputs, self._clock, self._log = outputs, clock, log
         self._followed: Command | None = None
-        self._ramp = 0.0
+        self._shifted: Pose | None = None
+        self._ramp = self._delay = 0.0
         self._none = np.zeros(6)
         self.port = Port(scene.dt)
 
@@ -104,7 +105,9 @@ class Stepper:
         command = self.newest
         begin = time.perf_counter()
         fresh = command is not None and self._watch(command)
-        plane, self.plane = self.plane, None
+        newest = self.plane
+        plane = newest if newest is not self._shifted else None
+        self._shifted = newest
         if command is None or command is self._followed:
             out = self.sim.step(None, plane)
         else:
@@ -138,10 +141,11 @@ class Stepper:
         port, limits, before = self.port, self.scene.coupling, self._followed
         fresh = command is not before
         moved = motion(before.pose, command.pose) if fresh and before is not None else NONE
-        delay = 2.0 * command.transport + time.monotonic() - command.received if fresh else port.period
+        if fresh:
+            self._delay = 2.0 * command.transport + time.monotonic() - command.received
         port.controlled = self._outputs.options.passivity == "control"
         port.force_limit, port.torque_limit = limits.force_limit, limits.torque_limit
-        sent = port.step(wrench.tolist(), moved, delay, fresh)
+        sent = port.step(wrench.tolist(), moved, self._delay, fresh)
         return np.array(sent) if port.controlled else wrench
 
     def _silenced(self) -> Floats:
