@@ -15,6 +15,9 @@ from .arrays import Floats
 from .rotations import angle, rotation_vector, slerp
 from .scene import Coupling, Pose, Vec3
 
+LONGEST = 0.1
+"""Most time that a command, or a target of the plane, counts as having taken since the one before [s]."""
+
 
 def follow(coupling: Coupling, pose: Pose, command: Pose, dt: float) -> tuple[Pose, bool]:
     """The pose after `dt` [s] on the way from `pose` to `command`, and whether a speed limit held it back."""
@@ -64,31 +67,30 @@ class CommandSpeed:
     """Velocity of a command that comes in jumps, less often than steps.
 
     A jump's size over the time since the one before, for as long as that took and half as long again, so that commands
-    which come regularly but for some jitter give a steady velocity; then zero. A jump after `longest` [s] of rest
-    counts as having taken that.
+    which come regularly but for some jitter give a steady velocity; then zero. A jump after LONGEST of rest counts
+    as having taken that.
     """
 
-    def __init__(self, longest: float = 0.1) -> None:
-        self.longest = longest
+    def __init__(self) -> None:
         self.value: Floats = np.zeros(6)
         self._since = self._holds = 0.0
 
     def step(self, before: Pose, after: Pose, dt: float) -> Floats:
         """(6,) linear [m/s] and angular [rad/s] velocity, world, at the end of a step of `dt` [s]."""
-        self._since = min(self._since + dt, self.longest)
+        self._since = min(self._since + dt, LONGEST)
         if after != before:
-            self.value = displacement(before, after) / self._since
+            self.value = np.array(displacement(before, after)) / self._since
             self._holds, self._since = 1.5 * self._since, 0.0
         elif self._since > self._holds:
             self.value = np.zeros(6)
         return self.value
 
 
-def displacement(a: Pose, b: Pose) -> Floats:
-    """(6,) way [m] and rotation vector [rad] from a to b, world."""
-    way = np.array(b.position) - np.array(a.position)
-    turn = rotation_vector(a.orientation, b.orientation) if a.orientation != b.orientation else (0.0, 0.0, 0.0)
-    return np.concatenate([way, turn])
+def displacement(start: Pose, end: Pose) -> tuple[float, float, float, float, float, float]:
+    """From pose to pose: way [m] and rotation vector [rad], world axes; the shorter turn."""
+    a, b, c = start.position
+    x, y, z = end.position
+    return (x - a, y - b, z - c, *rotation_vector(start.orientation, end.orientation))
 
 
 def spring_wrench(on_bone: Floats, bone: Pose, command: Pose) -> Floats:

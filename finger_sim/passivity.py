@@ -22,9 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .rotations import Quaternion
-from .scene import Pose
-
 Vec6 = tuple[float, float, float, float, float, float]
 
 LONGEST = 1000
@@ -49,26 +46,6 @@ def stable_stiffness(damping: float, period: float, delay: float) -> float:
     Hulin, Albu-Schäffer and Hirzinger 2014).
     """
     return damping / (period / 2.0 + delay)
-
-
-def motion(start: Pose, end: Pose) -> Vec6:
-    """From pose to pose: translation [m] and rotation vector [rad], world axes; the shorter turn."""
-    a, b, c = start.position
-    x, y, z = end.position
-    return (x - a, y - b, z - c, *_turn(start.orientation, end.orientation))
-
-
-def _turn(start: Quaternion, end: Quaternion) -> tuple[float, float, float]:
-    if start == end:
-        return 0.0, 0.0, 0.0
-    a, b, c, d = start
-    x, y, z, w = end
-    u, v, t = d * x - w * a - y * c + z * b, d * y - w * b - z * a + x * c, d * z - w * c - x * b + y * a
-    cosine, sine = w * d + x * a + y * b + z * c, math.hypot(u, v, t)
-    if sine == 0.0:
-        return 0.0, 0.0, 0.0
-    scale = 2.0 * math.atan2(sine, abs(cosine)) / math.copysign(sine, cosine)
-    return scale * u, scale * v, scale * t
 
 
 class Port:

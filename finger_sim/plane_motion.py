@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from .arrays import Floats
-from .coupling import between, displacement, follow
+from .coupling import LONGEST, between, displacement, follow
+from .rotations import matrix
 from .scene import Coupling, Pose, Vec3
-
-LONGEST = 0.1
-"""A target is reached in the time since the one before, but at most this [s]."""
 
 
 class PlaneMotion:
@@ -21,8 +17,8 @@ class PlaneMotion:
     twist : (6,) velocity of the pose's origin [m/s] and angular velocity [rad/s] in the last step, world
 
     The first target is where the plane is put. To each later one it goes at an even speed in the time that passed since
-    the one before (so that it moves steadily under targets that come steadily), no faster than the coupling's
-    max_speed and max_angular_speed.
+    the one before, LONGEST at most (so that it moves steadily under targets that come steadily), no faster than the
+    coupling's max_speed and max_angular_speed.
     """
 
     def __init__(self) -> None:
@@ -50,13 +46,11 @@ class PlaneMotion:
         part = min(1.0, dt / self._left) if self._left > 1.5 * dt else 1.0
         self.pose, _ = follow(coupling, before, between(before, self._goal, part), dt)
         self._left -= dt
-        self.twist = displacement(before, self.pose) / dt
+        self.twist = np.array(displacement(before, self.pose)) / dt
         return True
 
     def surface(self) -> tuple[Vec3, Vec3]:
         """Unit normal and a point [m] of the plane, world; not before the first target."""
         assert self.pose is not None
-        x, y, z, w = self.pose.orientation
-        normal = (2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y))
-        size = math.hypot(*normal)
-        return (normal[0] / size, normal[1] / size, normal[2] / size), self.pose.position
+        x, y, z = matrix(self.pose.orientation)[:, 2].tolist()
+        return (x, y, z), self.pose.position

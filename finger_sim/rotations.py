@@ -50,8 +50,9 @@ def rotation_vector(a: Quaternion, b: Quaternion) -> tuple[float, float, float]:
     z = bz * aw - bw * az - bx * ay + by * ax
     w = bw * aw + bx * ax + by * ay + bz * az
     size = math.hypot(x, y, z)
-    factor = 2.0 * math.atan2(size, abs(w)) / size if size > 1e-12 else 2.0
-    factor = math.copysign(factor, w)
+    if a == b or size == 0.0:
+        return 0.0, 0.0, 0.0
+    factor = 2.0 * math.atan2(size, abs(w)) / math.copysign(size, w)
     return factor * x, factor * y, factor * z
 
 

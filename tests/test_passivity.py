@@ -17,7 +17,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from finger_sim import Pose, Scene, Simulator
-from finger_sim.passivity import FORGIVING, LET_GO, LONGEST, Port, motion, stable_stiffness
+from finger_sim.coupling import displacement
+from finger_sim.passivity import FORGIVING, LET_GO, LONGEST, Port, stable_stiffness
 
 PERIOD, SUBSTEPS = 1e-3, 10
 LIMIT, TORQUE_LIMIT = 10.0, 0.5
@@ -207,8 +208,8 @@ def test_motion_between_poses() -> None:
             a = Pose(tuple(p.tolist()), tuple(first.as_quat().tolist()))
             second = Rotation.from_rotvec(turn) * first
             b = Pose(tuple(q.tolist()), tuple((sign * second.as_quat()).tolist()))
-            assert_allclose(motion(a, b), [*(q - p), *turn], atol=3e-15, rtol=1e-12)
-    assert motion(a, a) == (0.0,) * 6
+            assert_allclose(displacement(a, b), [*(q - p), *turn], atol=3e-15, rtol=1e-12)
+    assert displacement(a, a) == (0.0,) * 6
 
 
 @pytest.mark.parametrize("control", [False, True])

@@ -124,7 +124,7 @@ def test_a_press_at_rest_is_the_spring_s_and_the_plane_s() -> None:
     for command in path(((0.001, 0, TOUCH - 0.005), 0.4), ((0.001, 0, TOUCH - 0.005), 0.5)):
         out = sim.step(command)
     coupling = scene.coupling
-    apart = displacement(command, out.pose)
+    apart = np.array(displacement(command, out.pose))
     np.testing.assert_allclose(out.device_wrench[:3], coupling.stiffness * apart[:3], atol=1e-6)
     np.testing.assert_allclose(out.device_wrench[:3], out.contact_wrench[:3], atol=1e-4)
     lever = np.array(out.pose.position) - np.array(command.position)

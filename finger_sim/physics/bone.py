@@ -51,7 +51,7 @@ def aim_bone(model: Model, state: State, h: float, again: bool) -> None:
 
     again: state.x is an estimate of the step's end, else its start, from which the present velocity leads on.
     """
-    nf, driven, x, v = model.free.shape[0], model.driven, state.x, state.v
+    driven, x, v = model.driven, state.x, state.v
     pose, twist, target, base, arms = state.bone[7:], state.twist, state.target, state.bone_base, state.arms
     lead = 0.0 if again else h
     mean0 = mean1 = mean2 = 0.0
@@ -94,9 +94,6 @@ def aim_bone(model: Model, state: State, h: float, again: bool) -> None:
         for i in range(6):
             gap += lead * stop[i] * twist[i]
         stop[6], stop[7] = gap, max(_STOP * total / (h * h), 10.0 * spring[0, 0])
-    slots = state.slot_velocity
-    for i in range(3):
-        slots[nf + 1, i] = slots[nf + 2, i] = 0.0
 
 
 @stage
@@ -163,10 +160,7 @@ def factor_bone(model: Model, state: State, h: float, contacts: int, rows: int, 
     free_blocks, blocks = model.block_place.shape[0], block_row.shape[0]
     for p in range(free_blocks, blocks):
         arm, other = load4(arms, block_row[p] - nf - 3, 0), block_column[p]
-        for j in range(3):
-            u = load4(A, nf + p, j)
-            scratch[j, 0], scratch[j, 1], scratch[j, 2] = lane(u, 0), lane(u, 1), lane(u, 2)
-            scratch[j, 3], scratch[j, 4], scratch[j, 5] = cross(arm, u)
+        of_bone(A, nf + p, arm, scratch)
         if other < nf:
             for j in range(3):
                 store8(B, other, j, load8(B, other, j) + load8(scratch, j, 0))
@@ -174,10 +168,7 @@ def factor_bone(model: Model, state: State, h: float, contacts: int, rows: int, 
             add_rigid(S, scratch, load4(arms, other - nf - 3, 0), True)
     for d in range(arms.shape[0]):
         arm = load4(arms, d, 0)
-        for j in range(3):
-            u = load4(A, nf + blocks + d, j)
-            scratch[j, 0], scratch[j, 1], scratch[j, 2] = lane(u, 0), lane(u, 1), lane(u, 2)
-            scratch[j, 3], scratch[j, 4], scratch[j, 5] = cross(arm, u)
+        of_bone(A, nf + blocks + d, arm, scratch)
         add_rigid(S, scratch, arm, False)
     for row in range(contacts, rows):
         if stiffness[row] <= 0.0:
@@ -221,6 +212,15 @@ def factor_bone(model: Model, state: State, h: float, contacts: int, rows: int, 
         for j in range(6):
             S[i, j] -= scratch[0, j]
     return cholesky(S)
+
+
+@stage
+def of_bone(A: Floats, block: int, arm: Lanes, out: Floats) -> None:
+    """out (3, 8) = Bᵀ G for a block B of A and G of `arm`."""
+    for j in range(3):
+        u = load4(A, block, j)
+        out[j, 0], out[j, 1], out[j, 2] = lane(u, 0), lane(u, 1), lane(u, 2)
+        out[j, 3], out[j, 4], out[j, 5] = cross(arm, u)
 
 
 @stage

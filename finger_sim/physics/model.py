@@ -287,64 +287,41 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
         compress_room=limits.compress_room if limits else np.full(3, np.inf),
         limit_factors=factors,
         isochoric_strain=isochoric,
-        limit_compliance=limit_compliance(scene),
-        limit_inertia=limits.inertia if limits else 0.0,
-        limit_viscosity=limits.viscosity if limits else 0.0,
         has_plane=plane is not None,
         has_bone=has_bone,
         rest_driven=mesh.points[driven] if has_bone else np.zeros((0, 3)),
         bone_lever=float(np.sqrt((mesh.points[driven] ** 2).sum(axis=1).mean())) or length if has_bone else length,
-        spring=spring(scene),
-        spring_limit=np.array([scene.coupling.force_limit, scene.coupling.torque_limit]),
-        mu_friction=plane.friction if plane else 0.0,
-        contact_compliance=contact_compliance(scene, length),
         method=METHODS[solver.method],
-        tolerance=solver.tolerance,
-        max_iterations=solver.max_iterations,
         relinearizations=solver.relinearizations,
-        settles=solver.settle and solver.level == "standard",
-        hold=LEVELS[solver.level],
-        deadline=solver.deadline or 0.0,
+        **_live(scene, length),
     )
 
 
 def with_live_values(model: Model, scene: Scene) -> Model:
     """The model with those fields that may change while running as the scene now has them."""
-    solver, plane, limits = scene.solver, scene.plane, scene.limits
-    return model._replace(
-        tolerance=solver.tolerance,
-        max_iterations=solver.max_iterations,
-        hold=LEVELS[solver.level],
-        settles=solver.settle and solver.level == "standard",
-        deadline=solver.deadline or 0.0,
-        limit_compliance=limit_compliance(scene),
-        limit_inertia=limits.inertia if limits else 0.0,
-        limit_viscosity=limits.viscosity if limits else 0.0,
-        mu_friction=plane.friction if plane else 0.0,
-        contact_compliance=contact_compliance(scene, model.length),
-        spring=spring(scene),
-        spring_limit=np.array([scene.coupling.force_limit, scene.coupling.torque_limit]),
-    )
+    return model._replace(**_live(scene, model.length))
 
 
-def limit_compliance(scene: Scene) -> float:
-    """1 / (κ E) of the scene's limits [1/Pa]; 0: rigid, or none."""
-    limits = scene.limits
-    return 1.0 / (limits.stiffness * scene.material.young) if limits and limits.stiffness else 0.0
-
-
-def contact_compliance(scene: Scene, length: float) -> float:
-    """1 / k_n of the scene's plane [m/N] on a mesh of this length; 0: rigid, or none."""
-    plane = scene.plane
-    return 1.0 / (plane.stiffness * scene.material.young * length) if plane and plane.stiffness else 0.0
-
-
-def spring(scene: Scene) -> Floats:
-    """Stiffness and damping of the scene's coupling, of translation and of rotation, (2, 2)."""
-    coupling = scene.coupling
-    return np.array(
-        [[coupling.stiffness, coupling.damping], [coupling.rotational_stiffness, coupling.rotational_damping]]
-    )
+def _live(scene: Scene, length: float) -> dict[str, Any]:
+    """Fields that may change while running, of a mesh of that length (Model.length)."""
+    limits, plane, solver, coupling = scene.limits, scene.plane, scene.solver, scene.coupling
+    young = scene.material.young
+    return {
+        "limit_compliance": 1.0 / (limits.stiffness * young) if limits and limits.stiffness else 0.0,
+        "limit_inertia": limits.inertia if limits else 0.0,
+        "limit_viscosity": limits.viscosity if limits else 0.0,
+        "mu_friction": plane.friction if plane else 0.0,
+        "contact_compliance": 1.0 / (plane.stiffness * young * length) if plane and plane.stiffness else 0.0,
+        "spring": np.array(
+            [[coupling.stiffness, coupling.damping], [coupling.rotational_stiffness, coupling.rotational_damping]]
+        ),
+        "spring_limit": np.array([coupling.force_limit, coupling.torque_limit]),
+        "tolerance": solver.tolerance,
+        "max_iterations": solver.max_iterations,
+        "settles": solver.settle and solver.level == "standard",
+        "hold": LEVELS[solver.level],
+        "deadline": solver.deadline or 0.0,
+    }
 
 
 def plane_frame(normal: Floats) -> Floats:

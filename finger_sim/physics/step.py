@@ -108,7 +108,8 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
         state.result[STATUS] = _REJECTED
         return
     fastest = integrate(model, state, targets, h)  # x += h v
-    state.bone[:7] = state.bone[7:]
+    if model.has_bone:
+        state.bone[:7] = state.bone[7:]
     kinematics(model, state)
     lap(state.laps, state.time, KINEMATICS)
     state.age[0] = (state.age[0] + 1) % model.hold

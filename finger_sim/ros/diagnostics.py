@@ -9,7 +9,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from ..budget import LADDER
-from ..passivity import stable_stiffness as _stable
+from ..passivity import stable_stiffness
 from .loop import Progress, RateLoop
 from .outputs import Outputs
 from .stepper import Stepper, Window
@@ -75,7 +75,8 @@ class Reporter:
         late_median, late_p99 = loop.lateness.percentiles(50, 99)
         delay_median, delay_p99 = self._stepper.delay.percentiles(50, 99)
         transport = self._stepper.transport.percentiles(50)[0]
-        damping, port = self._outputs.options.device_damping, self._stepper.port
+        port = self._stepper.port
+        stiffness = stable_stiffness(self._outputs.options.device_damping, period, delay_p99 + 2.0 * transport)
         values.update(
             {
                 "real-time factor": f"{factor:.4f}",
@@ -103,7 +104,7 @@ class Reporter:
                 "loop delay p50 [ms]": f"{delay_median * 1e3:.3f}",
                 "loop delay p99 [ms]": f"{delay_p99 * 1e3:.3f}",
                 "command transport p50 [ms]": f"{transport * 1e3:.3f}",
-                "stable stiffness at that delay [N/m]": f"{_stable(damping, period, delay_p99 + 2.0 * transport):.0f}",
+                "stable stiffness at that delay [N/m]": f"{stiffness:.0f}",
                 "energy to the device [J]": f"{port.energy:.4g}",
                 "leaked [J]": f"{port.leaked:.4g}",
                 "dissipated [J]": f"{port.dissipated:.4g}",

@@ -47,6 +47,7 @@ REPORT_PERIOD = 1.0
 
 MOST_TRANSPORT = 1.0
 """A command whose stamp is older than this, or younger than its receipt, was stamped by another clock [s]."""
+
 SWITCH_INTERVAL = 5e-5
 """How long another thread of this process may keep the interpreter when a step is due [s]."""
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from ..arrays import Floats
 from ..budget import Budget, on_rung
-from ..coupling import device_wrench
-from ..passivity import NONE, Port, motion
+from ..coupling import device_wrench, displacement
+from ..passivity import NONE, Port
 from ..physics.step import Status
 from ..scene import Pose, Scene
 from ..simulator import Simulator, StepResult
@@ -140,7 +140,7 @@ class Stepper:
         """
         port, limits, before = self.port, self.scene.coupling, self._followed
         fresh = command is not before
-        moved = motion(before.pose, command.pose) if fresh and before is not None else NONE
+        moved = displacement(before.pose, command.pose) if fresh and before is not None else NONE
         if fresh:
             self._delay = 2.0 * command.transport + time.monotonic() - command.received
         port.controlled = self._outputs.options.passivity == "control"
