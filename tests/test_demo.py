@@ -275,11 +275,11 @@ from finger_sim.ros.node import main
 class Broken(stepper.Simulator):
     left = 20
 
-    def step(self, command=None):
+    def step(self, command=None, plane=None):
         self.left -= command is not None
         if self.left < 0:
             raise ValueError("no such luck")
-        return super().step(command)
+        return super().step(command, plane)
 
 {then}
 sys.exit(main())

@@ -458,11 +458,11 @@ class Stuck(stepper.Simulator):
         super().__init__(scene, progress)
         self.left = 20
 
-    def step(self, command=None):
+    def step(self, command=None, plane=None):
         self.left -= 1
         if self.left < 0:
             {then}
-        return super().step(command)
+        return super().step(command, plane)
 
 stepper.Simulator = Stuck
 sys.exit(main())
