@@ -147,7 +147,10 @@ class Client:
         return messages[count]
 
     def publish(self, message: Any, topic: str = "command_pose") -> None:
-        """Sends a message once the node listens."""
+        """Sends a message once the node listens.
+
+        A best-effort message is lost where the node has not yet found this sender: repeat what must arrive.
+        """
         if topic not in self._publishers:
             self._publishers[topic] = self.node.create_publisher(type(message), topic, 10)
             self.until(lambda: self._publishers[topic].get_subscription_count() > 0)

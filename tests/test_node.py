@@ -98,8 +98,7 @@ def test_the_first_command_places_the_finger(client):
     """It is not flown to: the next pose is the command, however far."""
     poses = client.collect(PoseStamped, "pose")
     client.next(poses)
-    client.command(0.005, x=3.0)
-    client.until(lambda: poses[-1].pose.position.x != 0.0)
+    client.until(lambda: poses[-1].pose.position.x != 0.0, lambda: client.command(0.005, x=3.0))
     assert next(p for p in poses if p.pose.position.x != 0.0).pose.position.x == 3.0
 
 
