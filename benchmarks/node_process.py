@@ -1,4 +1,4 @@
-"""finger_node in a process and a ROS domain of its own."""
+"""finger_node, or another program, in a process and a ROS domain of its own."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 DOMAIN = "87"
 
@@ -24,17 +24,25 @@ def running_node(
 ) -> Iterator[tuple[subprocess.Popen[str], float]]:
     """The node, once it has said that it is ready, and the seconds that took from the start of its process."""
     arguments = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    command = [sys.executable, "-m", "finger_sim.ros.node", "--ros-args", *arguments]
+    with started(["-m", "finger_sim.ros.node", "--ros-args", *arguments], changes) as found:
+        yield found
+
+
+@contextlib.contextmanager
+def started(
+    program: Sequence[str], changes: Mapping[str, str] | None = None
+) -> Iterator[tuple[subprocess.Popen[str], float]]:
+    """A Python program, once it has said on stderr that it is ready, and the seconds that took; ended by SIGINT."""
     begin = time.perf_counter()
-    node = subprocess.Popen(command, env=environment(changes), stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, *program], env=environment(changes), stderr=subprocess.PIPE, text=True)
     try:
-        assert node.stderr is not None
-        for line in node.stderr:
+        assert process.stderr is not None
+        for line in process.stderr:
             if "ready after" in line:
                 break
         else:
-            raise SystemExit(f"the node ended with code {node.wait()} before it was ready")
-        yield node, time.perf_counter() - begin
+            raise SystemExit(f"the process ended with code {process.wait()} before it was ready")
+        yield process, time.perf_counter() - begin
     finally:
-        node.send_signal(signal.SIGINT)
-        node.communicate(timeout=10)
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=10)

@@ -152,7 +152,7 @@ class Client:
         A best-effort message is lost where the node has not yet found this sender: repeat what must arrive.
         """
         if topic not in self._publishers:
-            self._publishers[topic] = self.node.create_publisher(type(message), topic, 10)
+            self._publishers[topic] = self.node.create_publisher(type(message), topic, 100)
             self.until(lambda: self._publishers[topic].get_subscription_count() > 0)
         self._publishers[topic].publish(message)
 

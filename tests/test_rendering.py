@@ -11,8 +11,9 @@ import pytest
 pytest.importorskip("rclpy")
 
 from finger_sim import Pose, Scene
+from finger_sim.ros.inbox import Command
 from finger_sim.ros.parameters import NodeOptions
-from finger_sim.ros.stepper import Command, Stepper
+from finger_sim.ros.stepper import Stepper
 
 
 def stepper(**options: Any) -> Stepper:

@@ -12,6 +12,7 @@ import pytest
 import ros_helpers  # noqa: F401  (skips without ROS; checks fields of messages)
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import PointCloud2, PointField
 from visualization_msgs.msg import Marker
 
@@ -21,6 +22,7 @@ from finger_sim.scene import Pose
 
 STAMP = 1_700_000_000_123_456_789
 RNG = np.random.default_rng(5)
+WHOLE = serialize_message(PoseStamped())
 
 
 def stamped(kind, frame_id):
@@ -122,6 +124,33 @@ def pose_message(position=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0), fra
     return message
 
 
+def checked(message):
+    """What becomes of a message that is sent."""
+    return messages.check_pose(messages.read_pose(serialize_message(message)), "world")
+
+
+@pytest.mark.parametrize("frame_id", ["", "w", "map", "base", "world", "tool_0", "fingers", "ängström", "a" * 1000])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_pose_is_read_as_it_was_sent(frame_id, swapped):
+    """Whatever the length of the frame's name, and whatever order its bytes are in: written by rclpy and by rosbags."""
+    values = tuple(RNG.normal(size=7).tolist())
+    message = pose_message(values[:3], values[3:], frame_id)
+    data = serialize_message(message)
+    if swapped:
+        store = get_typestore(Stores.ROS2_JAZZY)
+        kind = "geometry_msgs/msg/PoseStamped"
+        data = bytes(store.serialize_cdr(store.deserialize_cdr(data, kind), kind, little_endian=False))
+        assert data[1] == 0
+    assert messages.read_pose(data) == (STAMP, frame_id, values)
+
+
+@pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 12, b"\7" * 96, WHOLE[:40], WHOLE[:-1]])
+def test_bytes_that_are_no_pose_are_refused(data):
+    """Cut off, or never one."""
+    with pytest.raises(ValueError, match="bytes that are no PoseStamped"):
+        messages.read_pose(data)
+
+
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
@@ -140,12 +169,12 @@ def pose_message(position=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0), fra
 )
 def test_bad_commands_are_refused_with_the_reason(wrong, says):
     """What cannot be meant is refused, and the reason names it."""
-    refusal = messages.check_command(pose_message(**wrong), "world")
+    refusal = checked(pose_message(**wrong))
     assert isinstance(refusal, str)
     assert says in refusal
 
 
 def test_a_good_command_gets_a_unit_quaternion():
     """Position as it is, orientation of length one."""
-    pose = messages.check_command(pose_message((0.1, -0.2, 0.3), (0.0, 3.0, 0.0, 4.0)), "world")
+    pose = checked(pose_message((0.1, -0.2, 0.3), (0.0, 3.0, 0.0, 4.0)))
     assert pose == Pose((0.1, -0.2, 0.3), (0.0, 0.6, 0.0, 0.8))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from typing import Any
 
@@ -10,7 +9,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from ..budget import LADDER
 from ..passivity import stable_stiffness
-from .loop import Progress, RateLoop
+from .inbox import Inbox
+from .loop import Loop, Progress
 from .outputs import Outputs
 from .stepper import Stepper, Window
 
@@ -18,21 +18,11 @@ STALL = 0.5
 """Time without a step after which the loop counts as stalled [s]."""
 
 
-@dataclasses.dataclass
-class Refusals:
-    """Commands that were not followed."""
-
-    count: int = 0
-    reason: str = ""
-    said: set[str] = dataclasses.field(default_factory=set)
-    """Inputs of which the first refusal was logged."""
-
-
 class Reporter:
     """Makes a DiagnosticArray of the time since the last one; called from one thread."""
 
-    def __init__(self, loop: RateLoop, stepper: Stepper, outputs: Outputs, refusals: Refusals) -> None:
-        self._loop, self._stepper, self._outputs, self._refusals = loop, stepper, outputs, refusals
+    def __init__(self, loop: Loop, stepper: Stepper, outputs: Outputs, inbox: Inbox) -> None:
+        self._loop, self._stepper, self._outputs, self._inbox = loop, stepper, outputs, inbox
         self._before: Progress | None = None
         self._reported = 0.0
         self._refused = self._dropped = 0
@@ -62,7 +52,7 @@ class Reporter:
         return array
 
     def _steps(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
-        loop, period = self._loop, self._loop.period
+        loop, period = self._loop, self._stepper.scene.dt
         now, progress = time.monotonic(), loop.progress
         before = self._before or Progress(0, 0, 0, progress.begin, progress.begin)
         wall = max(now - (self._reported or progress.begin), 1e-9)
@@ -79,6 +69,7 @@ class Reporter:
         stiffness = stable_stiffness(self._outputs.options.device_damping, period, delay_p99 + 2.0 * transport)
         values.update(
             {
+                "mode": self._outputs.options.mode,
                 "real-time factor": f"{factor:.4f}",
                 "real-time factor since start": f"{overall:.4f}",
                 "rate [Hz]": f"{steps / wall:.1f}",
@@ -112,13 +103,17 @@ class Reporter:
             }
         )
         self._rung(values, problems)
-        quiet = now - progress.last
+        free = self._outputs.options.mode == "free"
+        newest = self._stepper.newest
+        waiting = newest.received if newest and newest.received > progress.last else now
+        quiet = now - (progress.last if free else waiting)
         if quiet > max(STALL, 5 * period):
             problems.append((2, f"the loop is stalled: no step for {quiet:.1f} s"))
-        elif factor < 0.99:
+        elif free and factor < 0.99:
             problems.append((1, f"slower than real time: factor {factor:.3f}"))
         if progress.overruns > before.overruns:
-            problems.append((1, f"{progress.overruns - before.overruns} steps skipped"))
+            what = "steps skipped" if free else "commands dropped: they come faster than steps are made"
+            problems.append((1, f"{progress.overruns - before.overruns} {what}"))
         if window.status:
             problems.append((1, f"{window.status.name} in {window.troubled} of {window.steps} steps"))
 
@@ -134,17 +129,18 @@ class Reporter:
             problems.append((1, f"less accurate to hold {1e3 * budget.seconds:g} ms: {rung.name}, error {rung.error}"))
 
     def _commands(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
-        command, refusals = self._stepper.newest, self._refusals
+        command, inbox = self._stepper.newest, self._inbox
         age = f"{time.monotonic() - command.received:.3f}" if command else "no command yet"
         values["command age [s]"] = age
-        values["refused commands"] = str(refusals.count)
-        if refusals.count:
-            values["last refusal"] = refusals.reason
+        values["received commands"] = str(inbox.received)
+        values["refused commands"] = str(inbox.refused)
+        if inbox.refused:
+            values["last refusal"] = inbox.reason
         if self._stepper.stale:
             problems.append((1, "command is stale: holding the pose"))
-        if refusals.count > self._refused:
-            problems.append((1, f"{refusals.count - self._refused} commands refused: {refusals.reason}"))
-        self._refused = refusals.count
+        if inbox.refused > self._refused:
+            problems.append((1, f"{inbox.refused - self._refused} commands refused: {inbox.reason}"))
+        self._refused = inbox.refused
 
     def _recording(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
         recorder = self._outputs.recorder

@@ -1,8 +1,10 @@
-"""The clock of the simulation: a thread that calls one function at a fixed rate, on absolute deadlines.
+"""The thread of the simulation: calls one function at a fixed rate, on absolute deadlines, or once for each command.
 
-Deadlines lie at origin + k · period on the steady clock. A step that is not done at the next deadline is
+RateLoop: deadlines lie at origin + k · period on the steady clock. A step that is not done at the next deadline is
 late; the step after it begins at once. Deadlines missed by more than a period are skipped and counted as
 overruns: steps are never bunched up, and time lost is never hidden.
+
+TriggeredLoop: what triggers a step waits in a bounded queue; what is dropped there is counted as an overrun.
 
 `python -m finger_sim.ros.loop PERIOD SECONDS PRIORITY` runs a loop that does nothing, and prints its Progress as
 JSON: what this machine allows. It needs no ROS.
@@ -21,7 +23,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -29,6 +31,8 @@ from ..arrays import Floats
 
 RING = 4096
 """Steps whose times are kept for percentiles."""
+IDLE_PERIOD = 0.01
+"""How often a triggered loop looks at the time while nothing triggers it [s]."""
 _PR_SET_TIMERSLACK = 29  # of prctl(2)
 
 
@@ -56,9 +60,9 @@ class Progress(NamedTuple):
     late: int
     """Steps not done at the next deadline."""
     overruns: int
-    """Deadlines skipped: steps that were never made."""
+    """Deadlines skipped, or triggers dropped: steps that were never made."""
     begin: float
-    """Steady time of the first deadline [s]."""
+    """Steady time at which the loop was ready [s]."""
     last: float
     """Steady time at which the last step was done [s]."""
 
@@ -72,19 +76,22 @@ class Progress(NamedTuple):
         return (self.steps - 1) * period / (self.last - self.begin) if self.steps > 1 else 0.0
 
 
-class RateLoop:
-    """Calls `tick` every `period` [s] in a thread of its own, once `prepare` has returned there.
+class Loop:
+    """A thread that makes steps, once `prepare` has returned there.
 
-    `error` holds the exception that ended the thread, if one did. Whatever else must happen between two ticks
+    `error` holds the exception that ended the thread, if one did. Whatever else must happen between two steps
     comes in through `call`.
+
+    step_time : times that steps took [s]
+    lateness  : times from when steps should have begun until they did [s]
     """
 
-    def __init__(self, period: float, prepare: Callable[[], None], tick: Callable[[], None]) -> None:
-        self.period = period
+    def __init__(self, prepare: Callable[[], None]) -> None:
         self.error: Exception | None = None
         self.step_time = Ring()
         self.lateness = Ring()
-        self._prepare, self._tick = prepare, tick
+        self._prepare = prepare
+        self._wake: Callable[[], None] = lambda: None
         self._calls: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
         self._stop = threading.Event()
         self._progress = Progress(0, 0, 0, 0.0, 0.0)
@@ -102,7 +109,7 @@ class RateLoop:
 
     @property
     def ready(self) -> bool:
-        """Whether ticks have begun."""
+        """Whether steps can be made."""
         return self._ready
 
     @property
@@ -113,14 +120,16 @@ class RateLoop:
     def stop(self, timeout: float) -> bool:
         """Asks the thread to end after its present step; False if it has not after `timeout` [s]."""
         self._stop.set()
+        self._wake()
         if self._thread.ident is not None:
             self._thread.join(timeout)
         return not self._thread.is_alive()
 
     def call(self, function: Callable[[], Any]) -> Future[Any]:
-        """Has the thread call `function` between two ticks; the future gives its result or exception."""
+        """Has the thread call `function` between two steps; the future gives its result or exception."""
         future: Future[Any] = Future()
         self._calls.append((function, future))
+        self._wake()
         return future
 
     def _run(self) -> None:
@@ -128,24 +137,46 @@ class RateLoop:
             _sleep_exactly()
             self._prepare()
             if not self._stop.is_set():
-                self._turn()
+                now = time.monotonic()
+                self._progress = Progress(0, 0, 0, now, now)
+                self._ready = True
+                self._turn(now)
         except Exception as error:
             self.error = error
 
-    def _turn(self) -> None:
+    def _turn(self, origin: float) -> None:
+        """Makes steps until it is to stop; `origin` is the steady time at the beginning [s]."""
+        raise NotImplementedError
+
+    def _answer(self) -> None:
+        """Makes the calls that wait."""
+        while self._calls:
+            function, future = self._calls.popleft()
+            if future.set_running_or_notify_cancel():
+                try:
+                    future.set_result(function())
+                except Exception as error:
+                    future.set_exception(error)
+
+
+class RateLoop(Loop):
+    """Calls `tick` every `period` [s]."""
+
+    def __init__(self, period: float, prepare: Callable[[], None], tick: Callable[[], None]) -> None:
+        super().__init__(prepare)
+        self.period = period
+        self._tick = tick
+
+    def _turn(self, origin: float) -> None:
         period = self.period
-        origin = time.monotonic()
         k = steps = late = overruns = 0
-        self._progress = Progress(0, 0, 0, origin, origin)
-        self._ready = True
         while not self._stop.is_set():
             deadline = origin + k * period
             ahead = deadline - time.monotonic()
             if ahead > 0.0:
                 time.sleep(ahead)
             begin = time.monotonic()
-            while self._calls:
-                self._answer(*self._calls.popleft())
+            self._answer()
             self._tick()
             end = time.monotonic()
             steps += 1
@@ -158,13 +189,63 @@ class RateLoop:
             self.lateness.add(begin - deadline)
             self._progress = Progress(steps, late, overruns, origin, end)
 
-    @staticmethod
-    def _answer(function: Callable[[], Any], future: Future[Any]) -> None:
-        if future.set_running_or_notify_cancel():
-            try:
-                future.set_result(function())
-            except Exception as error:
-                future.set_exception(error)
+
+class Waiting(Protocol):
+    """What a TriggeredLoop waits for."""
+
+    @property
+    def received(self) -> float:
+        """Steady time at which it came [s]."""
+
+
+T = TypeVar("T", bound=Waiting)
+
+
+class TriggeredLoop(Loop, Generic[T]):
+    """Calls `tick` once with everything that comes, in that order, and `idle` every IDLE_PERIOD in which nothing does.
+
+    take     : gives what has come since the last call
+    wait     : until something comes or `wake` is called; False when neither has after so many seconds
+    wake     : ends a wait, or the next one; from any thread
+    capacity : of what may wait for its tick; of more the oldest are dropped, and counted as overruns
+    """
+
+    def __init__(
+        self,
+        prepare: Callable[[], None],
+        tick: Callable[[T], None],
+        idle: Callable[[], None],
+        *,
+        take: Callable[[], list[T]],
+        wait: Callable[[float], bool],
+        wake: Callable[[], None],
+        capacity: int,
+    ) -> None:
+        super().__init__(prepare)
+        self._tick, self._idle = tick, idle
+        self._take, self._wait, self._wake = take, wait, wake
+        self._capacity = capacity
+
+    def _turn(self, origin: float) -> None:
+        waiting: deque[T] = deque()
+        steps = dropped = 0
+        while not self._stop.is_set():
+            waiting.extend(self._take())
+            while len(waiting) > self._capacity:
+                waiting.popleft()
+                dropped += 1
+            begin = time.monotonic()
+            self._answer()
+            if waiting:
+                item = waiting.popleft()
+                self._tick(item)
+                end = time.monotonic()
+                steps += 1
+                self.step_time.add(end - begin)
+                self.lateness.add(begin - item.received)
+                self._progress = Progress(steps, 0, dropped, origin, end)
+            elif not self._wait(IDLE_PERIOD):
+                self._idle()
 
 
 def prefer_this_thread(priority: int) -> None:

@@ -14,39 +14,40 @@ import signal
 import sys
 import threading
 import time
+from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import CancelledError, Future
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import rclpy
-from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import ParameterException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from ..bags import BagWriter
 from ..errors import FingerSimError, SceneError
-from ..scene import Pose, Scene
+from ..scene import Scene
 from . import parameters
-from .diagnostics import Refusals, Reporter
-from .loop import RateLoop
-from .messages import check_command
-from .outputs import COMMAND_QOS, Outputs, ros_qos
-from .recorder import Recorder, Topic
-from .stepper import Command, Stepper
+from .diagnostics import Reporter
+from .inbox import Command, Inbox
+from .loop import Loop, RateLoop, TriggeredLoop, prefer_this_thread
+from .outputs import Outputs
+from .recorder import Recorder
+from .stepper import Stepper
 
 ANSWER_TIMEOUT = 2.0
 """How long a service waits for the loop [s]."""
 REPORT_PERIOD = 1.0
 """Time between two messages on /diagnostics [s]."""
 
-MOST_TRANSPORT = 1.0
-"""A command whose stamp is older than this, or younger than its receipt, was stamped by another clock [s]."""
+WAITING_COMMANDS = 100
+"""Commands that may wait for their steps in mode triggered; of more the oldest are dropped and counted."""
 
 SWITCH_INTERVAL = 5e-5
 """How long another thread of this process may keep the interpreter when a step is due [s]."""
@@ -69,15 +70,25 @@ class FingerNode(Node):  # type: ignore[misc]
         self.add_on_set_parameters_callback(self._on_set)
 
         self._progress = "loading"
-        self._refusals = Refusals()
         self._outputs = Outputs(self, options)
         self._stepper = Stepper(scene, self._outputs, self.get_clock(), log)
-        self._loop = RateLoop(scene.dt, self._prepare, self._stepper.tick)
-        self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._refusals)
-        self._commands = self.create_subscription(
-            PoseStamped, "command_pose", self._on_command, ros_qos(COMMAND_QOS), raw=True
-        )
-        self.create_subscription(PoseStamped, "plane_pose", self._on_plane, ros_qos(COMMAND_QOS), raw=True)
+        self._processors = parameters.processors(options.cpu_affinity)
+        self._inbox = Inbox(self, self._outputs, lambda: self._stepper.scene.plane is not None)
+        self._early: deque[Command] = deque(maxlen=WAITING_COMMANDS)
+        self._loop: Loop
+        if options.mode == "free":
+            self._loop = RateLoop(scene.dt, self._prepare, self._tick)
+        else:
+            self._loop = TriggeredLoop(
+                self._prepare,
+                self._stepper.answer,
+                self._stepper.idle,
+                take=self._take_all,
+                wait=self._inbox.wait,
+                wake=self._inbox.wake,
+                capacity=WAITING_COMMANDS,
+            )
+        self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._inbox)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
         if options.record and os.path.lexists(_bag_path(options.record)):
@@ -90,6 +101,8 @@ class FingerNode(Node):  # type: ignore[misc]
         self._loop.start()
         due = time.monotonic() + REPORT_PERIOD
         while not stop.is_set() and rclpy.ok() and self._loop.error is None:
+            if not self._loop.ready:
+                self._early.extend(self._take())
             executor.spin_once(timeout_sec=min(0.1, max(0.0, due - time.monotonic())))
             if time.monotonic() >= due:
                 self._report()
@@ -117,19 +130,22 @@ class FingerNode(Node):  # type: ignore[misc]
         self._stepper.prepare(self._on_progress)
         if self._outputs.options.record:
             self._record(self._outputs.options.record)
-        if self._outputs.options.realtime_priority > 0:
-            self._prefer_this_thread(self._outputs.options.realtime_priority)
+        self._place_this_thread(self._outputs.options.realtime_priority)
         # A full collection would look at every object numba made: 150 ms in which no step can begin.
         gc.collect()
         gc.freeze()
+        scene, options = self._stepper.scene, self._outputs.options
+        pace = f"at {1.0 / scene.dt:g} Hz" if options.mode == "free" else "one step for each command"
         self.get_logger().info(
-            f"ready after {_process_age():.1f} s: {self._outputs.options.scene}, "
-            f"{len(self._stepper.sim.mesh.tets)} tets at {1.0 / self._loop.period:g} Hz"
+            f"ready after {_process_age():.1f} s: {options.scene}, {len(self._stepper.sim.mesh.tets)} tets, {pace}"
         )
 
-    def _prefer_this_thread(self, priority: int) -> None:
+    def _place_this_thread(self, priority: int) -> None:
+        if self._processors:
+            os.sched_setaffinity(0, self._processors)
         try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+            if priority > 0:
+                prefer_this_thread(priority)
         except OSError as error:
             self.get_logger().warning(f"realtime_priority {priority}: {error.strerror}; running as any other thread")
 
@@ -141,37 +157,32 @@ class FingerNode(Node):  # type: ignore[misc]
         report = self._reporter.report(self.get_clock().now().to_msg(), self._progress)
         self._outputs.send("/diagnostics", serialize_message(report))
 
-    def _on_command(self, data: bytes) -> None:
-        received = time.monotonic_ns()
-        recorder = self._outputs.recorder
-        if recorder is not None:
-            recorder.put(self._commands.topic_name, data, received)
-        message = deserialize_message(data, PoseStamped)
-        pose = self._accepted(message, "command")
-        if pose is not None:
-            stamp = message.header.stamp
-            transport = 1e-9 * self.get_clock().now().nanoseconds - (stamp.sec + 1e-9 * stamp.nanosec)
-            known = 0.0 <= transport <= MOST_TRANSPORT
-            self._stepper.newest = Command(pose, 1e-9 * received, transport if known else 0.0)
+    @property
+    def subscriptions(self) -> Iterator[Any]:
+        """Those that an executor serves; of the others the loop takes what comes."""
+        for subscription in super().subscriptions:
+            if subscription not in self._inbox.subscriptions:
+                yield subscription
 
-    def _on_plane(self, data: bytes) -> None:
-        pose = self._accepted(deserialize_message(data, PoseStamped), "plane_pose")
-        if pose is not None:
-            self._stepper.plane = pose
+    def _tick(self) -> None:
+        """A step of mode free."""
+        self._take()
+        self._stepper.tick()
 
-    def _accepted(self, message: PoseStamped, what: str) -> Pose | None:
-        """The pose of a message; None, counted and said once, where it is of no use."""
-        pose = check_command(message, self._outputs.options.world_frame)
-        if what == "plane_pose" and self._stepper.scene.plane is None:
-            pose = "the scene has no plane to move"
-        if not isinstance(pose, str):
-            return pose
-        if what not in self._refusals.said:
-            self._refusals.said.add(what)
-            self.get_logger().warning(f"{what} refused: {pose}; refusals are counted in /diagnostics")
-        self._refusals.count += 1
-        self._refusals.reason = f"{what}: {pose}"
-        return None
+    def _take_all(self) -> list[Command]:
+        """What came in, also before the loop was ready."""
+        early = [self._early.popleft() for _ in range(len(self._early))]
+        return early + self._take()
+
+    def _take(self) -> list[Command]:
+        """What came in; the newest of it is what the next step follows."""
+        commands = self._inbox.commands()
+        if commands:
+            self._stepper.newest = commands[-1]
+        plane = self._inbox.plane()
+        if plane is not None:
+            self._stepper.plane = plane
+        return commands
 
     def _on_set(self, given: list[Any]) -> SetParametersResult:
         try:
@@ -214,9 +225,8 @@ class FingerNode(Node):  # type: ignore[misc]
         return response
 
     def _record(self, path: str | Path) -> Recorder:
-        command = Topic(self._commands.topic_name, "geometry_msgs/msg/PoseStamped", COMMAND_QOS)
-        topics = [*self._outputs.recorded_topics(), command]
         options = self._outputs.options
+        topics = [*self._outputs.recorded_topics(), *self._inbox.recorded_topics()]
         writer = partial(
             BagWriter,
             compression=options.record_compression,

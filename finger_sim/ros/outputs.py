@@ -32,10 +32,6 @@ from .recorder import Recorder, Topic
 TF_PERIOD = 0.01
 """Time between two broadcasts of the frames [s], where tf2_ros is installed."""
 
-COMMAND_QOS = Qos(depth=10, reliable=False)
-"""Best effort hears reliable and best-effort senders alike, and a command that came late is of no use.
-The newest is followed whatever the depth; a recording holds those too that came while the node was busy."""
-
 _TYPES: dict[str, tuple[Any, Qos]] = {
     "mesh_topology": (Mesh, Qos(depth=1, transient_local=True)),
     "contact_wrench": (WrenchStamped, Qos()),
@@ -114,10 +110,14 @@ class Outputs:
         if recorder is not None and topic != "mesh_marker":
             recorder.put(self._names[topic], data, time.monotonic_ns())
 
+    def device(self, wrench: Floats, stamp: int) -> None:
+        """Sends what a device is to render (6,) [N, N m]; `stamp` is its time [ns]."""
+        self.send("device_wrench", self._device.fill(stamp, messages.doubles(wrench)))
+
     def step(self, sim: Simulator, out: StepResult, device_wrench: Floats, stamp: int) -> None:
         """Sends what a step brought; `stamp` is its time [ns]."""
         wrench = express_wrench(out.contact_wrench, out.pose, self.options.wrench_frame)
-        self.send("device_wrench", self._device.fill(stamp, messages.doubles(device_wrench)))
+        self.device(device_wrench, stamp)
         self.send("contact_wrench", self._wrench.fill(stamp, messages.doubles(wrench)))
         pose = messages.doubles((*out.pose.position, *out.pose.orientation))
         self.send("pose", self._pose.fill(stamp, pose))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, get_args
 
@@ -16,6 +17,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.parameter import Parameter as RosParameter
 
 from ..bags import Compression
+from ..errors import SceneError
 from ..fields import Field, field, parse_part, specs
 from ..layout import WRENCH_FRAMES
 from ..scene import Parameter, Scene
@@ -68,6 +70,15 @@ class NodeOptions:
         low=1.0,
         high=1e9,
         live=True,
+    )
+    mode: Literal["free", "triggered"] = field(
+        "choice",
+        "free: steps at the rate 1/dt follow the newest command; triggered: one step for each command, with its stamp",
+        default="free",
+        choices=("free", "triggered"),
+    )
+    cpu_affinity: str = field(
+        "text", "Processors that the loop's thread may run on, as in 1 or 0,2-3; empty: any", default=""
     )
     realtime_priority: int = field(
         "int",
@@ -168,6 +179,8 @@ def from_ros(value: Any, spec: Field) -> Any:
         return None
     if spec.kind == "limit3" and not isinstance(value, str | bool | int | float):
         return [None if item == math.inf else item for item in value]
+    if spec.kind == "text" and type(value) is int:
+        return str(value)
     if spec.kind == "text" and isinstance(value, str) and value.lstrip().startswith("{"):
         try:
             return yaml.safe_load(value)
@@ -220,6 +233,20 @@ def scene_from(scene: Scene, overrides: Mapping[str, Any]) -> Scene:
     """The scene with ROS overrides applied. Raises SceneError naming the parameter."""
     changes = {p.name: from_ros(overrides[p.name], p.spec) for p in scene.parameters() if p.name in overrides}
     return scene.with_values(changes) if changes else scene
+
+
+def processors(text: str) -> set[int]:
+    """The processors of `cpu_affinity`; none for an empty one. Raises SceneError for what this process may not use."""
+    may = os.sched_getaffinity(0)
+    found: set[int] = set()
+    for part in filter(None, text.replace(" ", "").split(",")):
+        first, _, last = part.partition("-")
+        ends = [int(end) if end.isdecimal() else -1 for end in (first, last or first)]
+        if not set(ends) <= may or ends[0] > ends[1]:
+            these = ",".join(map(str, sorted(may)))
+            raise SceneError("cpu_affinity", text, f"numbers and ranges, as in 1 or 0,2-3, of the processors {these}")
+        found |= {number for number in may if ends[0] <= number <= ends[1]}
+    return found
 
 
 def unknown(overrides: Iterable[str], known: Iterable[str]) -> dict[str, str]:

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,18 +17,9 @@ from ..passivity import NONE, Port
 from ..physics.step import Status
 from ..scene import Pose, Scene
 from ..simulator import Simulator, StepResult
+from .inbox import Command
 from .loop import Ring
 from .outputs import Outputs
-
-
-class Command(NamedTuple):
-    """A command that passed the check."""
-
-    pose: Pose
-    received: float
-    """Steady time of receipt [s]."""
-    transport: float = 0.0
-    """Time from its stamp to its receipt by the node's clock [s]; 0 where the stamp cannot be of the same clock."""
 
 
 @dataclasses.dataclass
@@ -100,9 +91,22 @@ class Stepper:
         self._outputs.prepare(self.sim.mesh)
 
     def tick(self) -> None:
-        """One step of scene.dt. The first command ever places the finger; each later one moves it there."""
-        stamp = self._clock.now().nanoseconds
+        """One step of scene.dt on the newest command, stamped with the present time."""
+        self._step(self.newest, self._clock.now().nanoseconds)
+
+    def answer(self, command: Command) -> None:
+        """One step of scene.dt for `command`, with the command's stamp if it has one: so that they can be paired."""
+        self._step(command, command.stamp or self._clock.now().nanoseconds)
+
+    def idle(self) -> None:
+        """Between commands that are each answered by a step: no device renders a force for ever that came once."""
         command = self.newest
+        if command is not None and not self.stale and not self._watch(command):
+            device = self._passive(self._silenced(), command)
+            self._outputs.device(device, self._clock.now().nanoseconds)
+
+    def _step(self, command: Command | None, stamp: int) -> None:
+        """The first command ever places the finger; each later one moves it there."""
         begin = time.perf_counter()
         fresh = command is not None and self._watch(command)
         newest = self.plane

@@ -1,0 +1,172 @@
+"""What comes in on command_pose and plane_pose, taken by the loop itself when it is about to step.
+
+No executor waits for these topics: to be woken for each command, only to note it for a later step, takes ten times
+as long as to look, and takes the interpreter from the step (benchmarks/latency.py). Until the loop is ready whoever
+serves ROS looks now and then, so that nothing is refused without a word while kernels are compiled.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from geometry_msgs.msg import PoseStamped
+from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.qos import QoSPolicyKind
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from ..bags import Qos
+from ..scene import Pose
+from .messages import check_pose, read_pose
+from .outputs import Outputs, ros_qos
+from .recorder import Topic
+
+COMMAND_QOS = {"free": Qos(depth=100, reliable=False), "triggered": Qos(depth=100)}
+"""Of command_pose, by mode; the parameters qos_overrides./command_pose.subscription.… change it.
+
+free: best effort hears reliable and best-effort senders alike, and a command that came late is of no use. The newest is
+followed whatever the depth; a recording holds those too that came while the node was busy.
+triggered: each command is to be answered, so none may be lost.
+"""
+PLANE_QOS = Qos(depth=10, reliable=False)
+
+MOST_TRANSPORT = 1.0
+"""A command whose stamp is older than this, or younger than its receipt, was stamped by another clock [s]."""
+
+
+class Command(NamedTuple):
+    """A command that passed the check."""
+
+    pose: Pose
+    received: float
+    """Steady time of receipt [s]."""
+    transport: float = 0.0
+    """Time from its stamp to its receipt by the node's clock [s]; 0 where the stamp cannot be of the same clock."""
+    stamp: int = 0
+    """Of its header [ns]; 0: none."""
+
+
+class Inbox:
+    """The subscriptions of the loop.
+
+    received : commands that came, good or not
+    refused  : commands and plane poses of no use
+    reason   : why the last of them was refused
+    """
+
+    def __init__(self, node: Any, outputs: Outputs, has_plane: Callable[[], bool]) -> None:
+        self.received = self.refused = 0
+        self.reason = ""
+        self._outputs, self._has_plane = outputs, has_plane
+        self._clock, self._log = node.get_clock(), node.get_logger()
+        self._said: set[str] = set()
+        self._lock = threading.Lock()
+        overriding = QoSOverridingOptions((QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY))
+        self._commands = _Subscription(node, "command_pose", COMMAND_QOS[outputs.options.mode], overriding)
+        self._plane = _Subscription(node, "plane_pose", PLANE_QOS)
+        self._guard = GuardCondition(lambda: None, None, context=node.context)
+        self._waiting = rclpy_implementation.WaitSet(1, 1, 0, 0, 0, 0, node.context.handle)
+
+    @property
+    def subscriptions(self) -> tuple[Any, ...]:
+        """What no executor is to wait for."""
+        return (self._commands.entity, self._plane.entity)
+
+    @property
+    def command_topic(self) -> str:
+        """Its resolved name."""
+        return str(self._commands.entity.topic_name)
+
+    def recorded_topics(self) -> list[Topic]:
+        """Topics that are recorded as they come."""
+        kind = "geometry_msgs/msg/PoseStamped"
+        return [Topic(self.command_topic, kind, COMMAND_QOS[self._outputs.options.mode])]
+
+    def commands(self) -> list[Command]:
+        """The good ones that came since the last look, in their order; the others are counted, and said once."""
+        with self._lock:
+            taken = self._commands.take()
+            if not taken:
+                return []
+            self.received += len(taken)
+            recorder = self._outputs.recorder
+            if recorder is not None:
+                for data, received in taken:
+                    recorder.put(self.command_topic, data, received)
+            now, clock = time.monotonic_ns(), self._clock.now().nanoseconds
+            good = []
+            for data, received in taken:
+                accepted = self._accepted(data, "command")
+                if accepted is not None:
+                    pose, stamp = accepted
+                    transport = 1e-9 * (clock - stamp - (now - received))
+                    known = 0.0 <= transport <= MOST_TRANSPORT
+                    good.append(Command(pose, 1e-9 * received, transport if known else 0.0, stamp))
+            return good
+
+    def plane(self) -> Pose | None:
+        """The newest good pose of the plane that came since the last look."""
+        with self._lock:
+            good = [self._accepted(data, "plane_pose") for data, _ in self._plane.take()]
+            return next((accepted[0] for accepted in reversed(good) if accepted is not None), None)
+
+    def wait(self, timeout: float) -> bool:
+        """Until a command comes or `wake` is called; False when neither has after `timeout` [s]. Of one thread."""
+        handle = self._commands.entity.handle
+        with handle, self._guard.handle:
+            self._waiting.clear_entities()
+            self._waiting.add_subscription(handle)
+            self._waiting.add_guard_condition(self._guard.handle)
+            self._waiting.wait(round(1e9 * timeout))
+            return any(self._waiting.get_ready_entities(kind) for kind in ("subscription", "guard_condition"))
+
+    def wake(self) -> None:
+        """Ends a `wait`, or the next one; from any thread."""
+        self._guard.trigger()
+
+    def _accepted(self, data: bytes, what: str) -> tuple[Pose, int] | None:
+        """Pose and stamp [ns] of a message; None, counted and said once, where it is of no use."""
+        try:
+            message = read_pose(data)
+            pose = check_pose(message, self._outputs.options.world_frame)
+            if what == "plane_pose" and not self._has_plane():
+                pose = "the scene has no plane to move"
+            if not isinstance(pose, str):
+                return pose, message.stamp
+        except ValueError as error:
+            pose = str(error)
+        if what not in self._said:
+            self._said.add(what)
+            self._log.warning(f"{what} refused: {pose}; refusals are counted in /diagnostics")
+        self.refused += 1
+        self.reason = f"{what}: {pose}"
+        return None
+
+
+class _Subscription:
+    """One to PoseStamped whose messages lie until they are taken, at most as many as its depth."""
+
+    def __init__(self, node: Any, topic: str, qos: Qos, overriding: Any = None) -> None:
+        self.entity = node.create_subscription(
+            PoseStamped, topic, lambda _: None, ros_qos(qos), raw=True, qos_overriding_options=overriding
+        )
+        self._looked = time.monotonic_ns()
+
+    def take(self) -> list[tuple[bytes, int]]:
+        """What came since the last call: CDR bytes, and the steady time of receipt [ns].
+
+        The middleware tells the time of receipt by the wall clock. When that jumps, a message still did not come
+        before the last look at all that there was.
+        """
+        out: list[tuple[bytes, int]] = []
+        handle = self.entity.handle
+        with handle:
+            while (taken := handle.take_message(PoseStamped, True)) is not None:
+                now = time.monotonic_ns()
+                age = min(max(time.time_ns() - taken[1]["received_timestamp"], 0), now - self._looked)
+                out.append((taken[0], now - age))
+        self._looked = time.monotonic_ns()
+        return out
