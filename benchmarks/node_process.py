@@ -10,7 +10,8 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 
-DOMAIN = "87"
+DOMAIN = os.environ.get("ROS_DOMAIN_ID") or str(1 + os.getpid() % 100)
+"""The one that is set, or this process's own."""
 
 
 def environment(changes: Mapping[str, str] | None = None) -> dict[str, str]:
