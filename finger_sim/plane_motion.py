@@ -25,6 +25,7 @@ class PlaneMotion:
         self.pose: Pose | None = None
         self.twist: Floats = np.zeros(6)
         self._goal: Pose | None = None
+        self._before: Pose | None = None
         self._since = self._left = 0.0
 
     def step(self, target: Pose | None, coupling: Coupling, dt: float) -> bool:
@@ -32,7 +33,7 @@ class PlaneMotion:
         self._since = min(self._since + dt, LONGEST)
         if target is not None:
             if self.pose is None:
-                self.pose = self._goal = target
+                self.pose = self._goal = self._before = target
                 self._since = 0.0
                 return True
             self._goal, self._left, self._since = target, self._since, 0.0
@@ -40,17 +41,19 @@ class PlaneMotion:
             return False
         if self.pose == self._goal:
             stops = bool(self.twist.any())
-            self.twist = np.zeros(6)
+            self.twist, self._before = np.zeros(6), self.pose
             return stops
-        before = self.pose
+        before = self._before = self.pose
         part = min(1.0, dt / self._left) if self._left > 1.5 * dt else 1.0
         self.pose, _ = follow(coupling, before, between(before, self._goal, part), dt)
         self._left -= dt
         self.twist = np.array(displacement(before, self.pose)) / dt
         return True
 
-    def surface(self) -> tuple[Vec3, Vec3]:
-        """Unit normal and a point [m] of the plane, world; not before the first target."""
+    def surface(self, part: float = 1.0) -> tuple[Vec3, Vec3]:
+        """Unit normal and a point [m] of the plane after a part of the last step; not before the first target."""
         assert self.pose is not None
-        x, y, z = matrix(self.pose.orientation)[:, 2].tolist()
-        return (x, y, z), self.pose.position
+        assert self._before is not None
+        pose = between(self._before, self.pose, part)
+        x, y, z = matrix(pose.orientation)[:, 2].tolist()
+        return (x, y, z), pose.position

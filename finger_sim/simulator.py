@@ -136,8 +136,6 @@ class Simulator:
         shifts = self._motion.step(plane, scene.coupling, scene.dt)
         if shifts:
             self._plane = self._motion.surface()
-            self._place_plane()
-            state.plane_motion[:] = self._motion.twist
         start, limited = self._target if self._yields else self.pose, False
         end = start
         if self._driven:
@@ -155,6 +153,10 @@ class Simulator:
         status, iterations, residual = int(Status.COMMAND_LIMITED) if limited else 0, 0, 0.0
         for substep in range(1, scene.substeps + 1):
             before, after = self.pose, between(start, end, substep / scene.substeps)
+            if shifts:
+                self._plane = self._motion.surface(substep / scene.substeps)
+                self._place_plane()
+                state.plane_motion[:] = self._motion.twist
             if self._yields:
                 state.target[:7] = *after.position, *after.orientation
             else:

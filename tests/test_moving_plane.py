@@ -61,6 +61,25 @@ def test_a_plane_that_rises_presses_as_a_finger_that_sinks() -> None:
     np.testing.assert_allclose(forces[0], forces[1], rtol=0.03, atol=0.02)
 
 
+def test_in_each_substep_the_plane_is_where_it_is_then() -> None:
+    """Four substeps to a target are four steps to the targets on the way there, rising, sliding and turning."""
+    awake = {"solver__settle": False, "solver__sleep": False, "dt": 1e-3}
+    coarse, fine = finger(**awake, substeps=4), finger(**awake, substeps=4)
+    steps = Simulator(fine.scene.with_values({"substeps": 1, "dt": 2.5e-4}))
+    steps.reset(fine.pose)
+    coarse.reset(fine.pose)
+    target = lambda t: pose((2e-2 * t, 0.0, 1e-2 * t), Rotation.from_rotvec([0.0, 5.0 * t, 0.0]))  # noqa: E731
+    coarse.step(None, target(0.0))
+    for _ in range(4):
+        steps.step(None, target(0.0))
+    for k in range(30):
+        whole = coarse.step(None, target(1e-3 * (k + 1)))
+        for quarter in range(4):
+            one = steps.step(None, target(1e-3 * (k + 0.25 * (quarter + 1))))
+        np.testing.assert_allclose(whole.contact_wrench, one.contact_wrench, rtol=1e-6, atol=1e-6)
+    assert whole.contact_wrench[2] > 0.5
+
+
 def test_a_turntable_drags_by_its_point_under_the_finger() -> None:
     """Spinning about an axis 10 cm to the left: the surface moves across, and pulls the finger with it."""
     sim = finger()
