@@ -195,6 +195,26 @@ class Client:
         return status, {item.key: item.value for item in status.values}
 
 
+def bag_process(parent: int) -> int:
+    """The process that writes bags for `parent`."""
+    (found,) = (
+        int(process.name)
+        for process in Path("/proc").glob("[0-9]*")
+        if (status := _read(process / "stat"))
+        and int(status.rpartition(b")")[2].split()[1]) == parent
+        and b"bag_process" in _read(process / "cmdline")
+    )
+    return found
+
+
+def _read(path: Path) -> bytes:
+    """Content of a file; nothing where it has gone."""
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""
+
+
 def command(z: float, x: float = 0.0) -> PoseStamped:
     """A command to (x, 0, z) [m], level, in the frame world."""
     message = PoseStamped()

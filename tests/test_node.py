@@ -18,7 +18,7 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from ros_helpers import Client, NodeProcess, command, write_block
+from ros_helpers import Client, NodeProcess, bag_process, command, write_block
 from rosbags.rosbag2 import Reader as RosbagsReader
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
@@ -375,18 +375,19 @@ def test_a_long_recording_goes_on_in_new_files(client):
 def test_a_full_disk_ends_the_recording_not_the_node(client, node):
     """Diagnostics, log and service say why; what was written is readable; with room again recording works again.
 
-    A limit on the size of the node's files stands for the disk: the system refuses to write beyond it.
+    A limit on the size of the files of the process that writes stands for the disk: the system refuses more.
     """
     assert client.set("record_compression", "none").successful
     answer = client.call(SetBool, "/finger/record", SetBool.Request(data=True))
     path = Path(answer.message.removeprefix("recording "))
-    before = resource.prlimit(node.process.pid, resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
+    writer = bag_process(node.process.pid)
+    before = resource.prlimit(writer, resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
     try:
         press = lambda: client.command(-0.0003)  # noqa: E731
         client.until(lambda: "recording stopped" in client.reports[-1].status[0].message, press)
         status, values = client.report(press)
     finally:
-        resource.prlimit(node.process.pid, resource.RLIMIT_FSIZE, before)
+        resource.prlimit(writer, resource.RLIMIT_FSIZE, before)
     assert status.level == DiagnosticStatus.ERROR
     assert f"{path / path.name}_0.mcap" in status.message
     assert "File too large" in status.message

@@ -1,8 +1,7 @@
 """The ROS 2 node `finger`: commands in, wrenches and the deformed finger out, in real time.
 
-Run it with `ros2 run finger_sim finger_node` or `python3 -m finger_sim.ros.node`. Three threads share the
-work: the main one serves ROS and reports, the loop makes the steps and sends what they bring, the recorder
-writes the bag.
+Run it with `ros2 run finger_sim finger_node` or `python3 -m finger_sim.ros.node`. Two threads share the work: the
+main one serves ROS and reports, the loop makes the steps and sends what they bring. A process of its own writes bags.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import sys
 import threading
 import time
 from concurrent.futures import CancelledError, Future
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +27,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
-from ..bags import BagWriter
 from ..errors import FingerSimError, SceneError
 from ..scene import Pose, Scene
 from . import parameters
+from .bag_pipe import Standby
 from .diagnostics import Refusals, Reporter
 from .loop import RateLoop
 from .messages import check_command
@@ -68,6 +66,8 @@ class FingerNode(Node):  # type: ignore[misc]
         self.add_pre_set_parameters_callback(lambda given: parameters.widen(given, self._parameters))
         self.add_on_set_parameters_callback(self._on_set)
 
+        self._standby = Standby()
+        self._standby.prepare()
         self._progress = "loading"
         self._refusals = Refusals()
         self._outputs = Outputs(self, options)
@@ -103,6 +103,7 @@ class FingerNode(Node):  # type: ignore[misc]
         if recorder is not None:
             recorder.close()
             self.get_logger().info(recorder.summary())
+        self._standby.end()
         error = self._loop.error
         if error is not None:
             self.get_logger().fatal(" ".join(f"{type(error).__name__}: {error}".split()))
@@ -140,6 +141,7 @@ class FingerNode(Node):  # type: ignore[misc]
     def _report(self) -> None:
         report = self._reporter.report(self.get_clock().now().to_msg(), self._progress)
         self._outputs.send("/diagnostics", serialize_message(report))
+        self._standby.prepare()
 
     def _on_command(self, data: bytes) -> None:
         received = time.monotonic_ns()
@@ -217,13 +219,13 @@ class FingerNode(Node):  # type: ignore[misc]
         command = Topic(self._commands.topic_name, "geometry_msgs/msg/PoseStamped", COMMAND_QOS)
         topics = [*self._outputs.recorded_topics(), command]
         options = self._outputs.options
-        writer = partial(
-            BagWriter,
-            compression=options.record_compression,
-            split_bytes=1e6 * options.record_split_size or math.inf,
-            split_seconds=options.record_split_time or math.inf,
-        )
-        recorder = Recorder(_bag_path(path), topics, options.record_queue, writer, self.get_logger().error)
+        bag = {
+            "compression": options.record_compression,
+            "split_bytes": 1e6 * options.record_split_size or math.inf,
+            "split_seconds": options.record_split_time or math.inf,
+        }
+        failed = self.get_logger().error
+        recorder = Recorder(_bag_path(path), topics, options.record_queue, self._standby.pipe(), bag, failed)
         self._outputs.start_recording(recorder)
         return recorder
 
