@@ -24,6 +24,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from finger_sim import BagError, Scene, replay
+from finger_sim.bag_ring import SIZE
 from finger_sim.bags import BagReader, Qos
 from finger_sim.ros.bag_pipe import COMMAND, Standby
 from finger_sim.ros.recorder import Recorder, Topic
@@ -116,7 +117,7 @@ def test_a_full_queue_drops_whole_messages_and_the_gap_shows(disk):
 
 
 def test_messages_arrive_as_they_were_given(disk):
-    """Bytes and log times, in order, nothing lost below capacity, though the pipe does not hold them all."""
+    """Bytes and log times, in order, nothing lost below capacity."""
     recorder = disk.record()
     data = WRENCH + bytes(10_000)
     with disk.stalled():
@@ -129,8 +130,23 @@ def test_messages_arrive_as_they_were_given(disk):
     assert (recorder.written, recorder.dropped) == (500, 0)
 
 
+def test_more_bytes_than_may_wait_are_dropped_too(disk):
+    """Of twenty megabytes those messages are kept that fit into the memory; the next one shows the gap."""
+    recorder = disk.record()
+    with disk.stalled():
+        taken = [recorder.put("/a", bytes(1_000_000), 1000 + i) for i in range(20)]
+    kept = sum(taken)
+    assert taken == [True] * kept + [False] * (20 - kept)
+    assert kept == SIZE // 1_000_100
+    until(lambda: recorder.put("/b", bytes(1_000_000), 2000))
+    recorder.close()
+    found = sequences(disk.path)
+    assert found["/a"] == list(range(1, kept + 1))
+    assert recorder.dropped == 20 - kept + found["/b"][0] - 1
+
+
 def test_nobody_waits_for_a_stalled_disk(disk):
-    """Handing over goes on beyond what a pipe can hold; who closes waits as long as he likes, and loses nothing.
+    """Messages are taken meanwhile; who closes waits as long as he likes, and loses nothing.
 
     The process is left to finish the bag by itself; the next recording gets another.
     """
@@ -157,7 +173,7 @@ def test_a_full_disk_ends_the_recording_with_its_reason(disk):
     put = lambda: recorder.put("/a", WRENCH, time.monotonic_ns())  # noqa: E731
     until(lambda: file.stat().st_size > empty, put)
     with disk.full():
-        until(lambda: recorder.error, put)
+        until(lambda: recorder.check() or recorder.error, put)
     assert disk.told == [f"recording stopped: {recorder.error}"]
     assert f"{file}: cannot be written: File too large" in recorder.summary()
     assert not recorder.active
@@ -209,7 +225,7 @@ def test_a_killed_process_ends_the_recording_and_is_told(disk):
     """The next recording gets another one."""
     recorder = disk.record()
     os.kill(disk.pid, signal.SIGKILL)
-    until(lambda: recorder.error, lambda: recorder.put("/a", WRENCH, 1000))
+    until(lambda: recorder.check() or recorder.error, lambda: recorder.put("/a", WRENCH, 1000))
     assert f"{disk.path}: the process that writes it ended" in recorder.error
     assert disk.told == [f"recording stopped: {recorder.error}"]
     recorder.close()
@@ -253,13 +269,15 @@ def test_signals_that_end_a_terminal_s_processes_do_not_end_a_bag(disk):
 
 
 def test_a_bag_is_finished_though_nobody_closes_it(disk):
-    """The pipe ends with who recorded: what was handed over is in a whole bag."""
+    """All that was handed over is in a whole bag, though the process had not yet looked at it."""
     recorder = disk.record()
-    until(lambda: recorder.written >= 3, lambda: recorder.put("/a", WRENCH, 1000))
-    disk.standby.end()
+    with disk.stalled():
+        for i in range(3):
+            assert recorder.put("/a", WRENCH, 1000 + i)
+        disk.standby.end()
     until((disk.path / "metadata.yaml").is_file)
     assert BagReader(disk.path).warning is None
-    assert len(sequences(disk.path)["/a"]) >= 3
+    assert sequences(disk.path) == {"/a": [1, 2, 3]}
 
 
 def test_log_times_begin_with_the_wall_clock(disk):

@@ -1,9 +1,8 @@
-"""This end of the pipe to a process that writes bags (`finger_sim.bag_process`)."""
+"""This end of a process that writes bags (`finger_sim.bag_process`)."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import select
@@ -12,85 +11,72 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
-from typing import Any
+from typing import IO, Any
 
-from ..bag_process import HEAD
+from ..bag_process import Order
+from ..bag_ring import Ring, make_file
 from ..errors import BagError
 
 COMMAND = (sys.executable, "-m", "finger_sim.bag_process")
-PIPE = 1 << 20
-"""Size to ask for [byte]; where the system refuses, it keeps its own."""
-PORTION = 1 << 18
-"""Most that is handed over at once [byte]: whoever does it must not be kept from its own work."""
 END_TIMEOUT = 0.2
 """How long the end of an idle process is waited for [s]."""
 
 
 class BagPipe:
-    """A process that writes bags, and what waits for it; used by one thread at a time, which it never blocks.
+    """A process that writes bags; used by one thread at a time, but for `ring`.
+
+    ring : takes the messages of the bag that is open
 
     Raises BagError when the process cannot be started.
     """
 
     def __init__(self, command: Sequence[str] = COMMAND) -> None:
+        file = make_file()
         try:
+            self.ring = Ring(file)
             # In a process group of its own it does not get the Ctrl-C that is meant for this process.
             self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, process_group=0
+                [*command, str(file)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                pass_fds=[file],
+                process_group=0,
+                bufsize=0,
             )
         except OSError as error:
             raise BagError(f"the process that writes bags cannot be started: {error}") from None
+        finally:
+            os.close(file)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._frames, self._answers = self._process.stdin, self._process.stdout
-        self._waiting, self._heard = bytearray(), bytearray()
-        for pipe in (self._frames, self._answers):
-            os.set_blocking(pipe.fileno(), False)
-        with contextlib.suppress(OSError):
-            fcntl.fcntl(self._frames, fcntl.F_SETPIPE_SZ, PIPE)
+        self._orders, self._answers = self._process.stdin, self._process.stdout
+        self._heard = b""
+        os.set_blocking(self._orders.fileno(), False)
 
     @property
     def usable(self) -> bool:
         """Whether the process runs and has not been let go."""
-        return not self._frames.closed and self._process.poll() is None
+        return not self._orders.closed and self._process.poll() is None
 
-    def add(self, number: int, data: bytes, sequence: int = 0, log_time: int = 0) -> None:
-        """Has a frame wait for the next exchange."""
-        self._waiting += HEAD.pack(len(data), number, sequence, log_time)
-        self._waiting += data
+    def order(self, order: Order | None, timeout: float) -> None:
+        """Has it begin a bag; None: finish it. No answer will come where it does not listen for so long [s]."""
+        rest = json.dumps(order or {}).encode() + b"\n"
+        with contextlib.suppress(BrokenPipeError):  # the answers will say so
+            while rest and _ready(self._orders, select.POLLOUT, timeout):
+                rest = rest[os.write(self._orders.fileno(), rest) :]
 
-    def exchange(self) -> list[dict[str, Any]]:
-        """Hands over a portion of what waits, if the pipe takes it; gives the answers that have come.
+    def answers(self, timeout: float = 0.0) -> list[dict[str, Any]]:
+        """The answers that have come, or the first that comes within `timeout` [s].
 
-        Raises BrokenPipeError when the process is gone, once its last answer has been given.
+        Raises BrokenPipeError when the process is gone and its last answer has been given.
         """
-        heard = None
-        with contextlib.suppress(BlockingIOError):
-            heard = os.read(self._answers.fileno(), 1 << 16)
-            self._heard += heard
-        *lines, self._heard = self._heard.split(b"\n")
-        answers = [json.loads(line) for line in lines]
-        if heard == b"":
+        if not _ready(self._answers, select.POLLIN, timeout):
+            return []
+        heard = os.read(self._answers.fileno(), 1 << 16)
+        if not heard:
             raise BrokenPipeError
-        if self._waiting:
-            try:
-                with memoryview(self._waiting) as all, all[:PORTION] as portion:
-                    taken = os.write(self._frames.fileno(), portion)
-                del self._waiting[:taken]
-            except BlockingIOError:
-                pass
-            except BrokenPipeError:
-                if not answers:
-                    raise
-        return answers
-
-    def wait(self, timeout: float) -> None:
-        """Until there is something to exchange, or `timeout` [s] is over."""
-        ready = select.poll()
-        ready.register(self._answers, select.POLLIN)
-        if self._waiting:
-            ready.register(self._frames, select.POLLOUT)
-        ready.poll(1e3 * max(timeout, 0.0))
+        *lines, self._heard = (self._heard + heard).split(b"\n")
+        return [json.loads(line) for line in lines]
 
     def ending(self) -> str:
         """How the process ended, as far as the system has said."""
@@ -101,7 +87,7 @@ class BagPipe:
 
     def let_go(self) -> None:
         """Leaves the process to itself: it finishes its bag with what it was given, and ends."""
-        self._frames.close()
+        self._orders.close()
         self._answers.close()
 
     def end(self) -> None:
@@ -109,6 +95,13 @@ class BagPipe:
         self.let_go()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(END_TIMEOUT)
+
+
+def _ready(file: IO[bytes], event: int, timeout: float) -> bool:
+    """Waits for an event of poll(2)."""
+    poll = select.poll()
+    poll.register(file, event)
+    return bool(poll.poll(1e3 * timeout))
 
 
 class Standby:

@@ -139,9 +139,11 @@ class FingerNode(Node):  # type: ignore[misc]
         self.get_logger().info(text)
 
     def _report(self) -> None:
+        if self._outputs.recorder is not None:
+            self._outputs.recorder.check()
+        self._standby.prepare()
         report = self._reporter.report(self.get_clock().now().to_msg(), self._progress)
         self._outputs.send("/diagnostics", serialize_message(report))
-        self._standby.prepare()
 
     def _on_command(self, data: bytes) -> None:
         received = time.monotonic_ns()
@@ -196,6 +198,8 @@ class FingerNode(Node):  # type: ignore[misc]
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         recorder = self._outputs.recorder
+        if recorder is not None:
+            recorder.check()
         recording = recorder is not None and recorder.active
         try:
             if request.data and recorder and recording:

@@ -1,8 +1,9 @@
-"""Records messages as they pass: they are handed to a process of its own that writes the bag.
+"""Records messages as they pass: they are put into memory from which a process of its own writes the bag.
 
-Nobody who hands over a message ever waits for the disk, and the disk's work does not hold this process's
-interpreter. When too many messages wait, whole ones are dropped and counted; each message gets its sequence
-number on arrival, so that a loss shows as a gap in the bag. The bag is finished even where this process is killed.
+Nobody who hands over a message ever waits for the disk or calls the system, and the work of writing does not hold
+this process's interpreter. When too many messages wait, whole ones are dropped and counted; each message gets its
+sequence number on arrival, so that a loss shows as a gap in the bag. Where this process is killed, the bag is
+finished all the same.
 
 Log times count on the steady clock from the wall clock's time at the start: when that jumps, the order and the
 distances of messages stay true.
@@ -10,7 +11,6 @@ distances of messages stay true.
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -19,15 +19,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .. import cdr
-from ..bag_process import CLOSE, OPEN, Order
+from ..bag_process import Order
 from ..bags import Qos
 from ..errors import BagError
 from .bag_pipe import BagPipe
 
-HAND_OVER_PERIOD = 0.02
-"""Messages are handed over with the first one that comes so long after those before [s]."""
-OPEN_TIMEOUT = 5.0
-"""How long the making of a bag is waited for [s]."""
+TIMEOUT = 5.0
+"""How long the disk may take to begin a bag, and to finish it [s]."""
 
 
 class Topic(NamedTuple):
@@ -41,12 +39,14 @@ class Topic(NamedTuple):
 class Recorder:
     """A bag being written by another process.
 
+    `put` may be called by any thread, all else by one at a time.
+
     path     : folder of the bag; BagError if it exists or cannot be made
     topics   : announced in this order
     capacity : messages that may wait to be written
     pipe     : the process; lent to this recorder until it is closed
     options  : of the BagWriter
-    failed   : is told why, by whoever hands over or closes, when something ends the recording
+    failed   : is told why, by whoever checks or closes, when something ended the recording
     """
 
     def __init__(
@@ -59,18 +59,17 @@ class Recorder:
         failed: Callable[[str], object] = lambda _: None,
     ) -> None:
         self.path = Path(path).absolute()
-        self.written = 0
         self.dropped = 0
         self.error: str | None = None
-        self._capacity, self._pipe, self._failed = capacity, pipe, failed
+        self._capacity, self._pipe, self._ring = capacity, pipe, pipe.ring
+        self._failed: Callable[[str], object] = lambda _: None  # who makes a recorder gets an exception
         self._zero = time.time_ns() - time.monotonic_ns()
         self._numbers = {topic.name: number for number, topic in enumerate(topics)}
         self._sequences = {topic.name: 0 for topic in topics}
-        self._accepted = self._fresh = 0
-        self._due = 0.0
         self._lock = threading.Lock()
-        self._opened = self._closing = self._closed = False
-        self._untold: str | None = None
+        self._accepted, self._most = 0, capacity
+        self._written: int | None = None
+        self._closing = False
         order: Order = {
             "path": str(self.path),
             "topics": [
@@ -79,86 +78,83 @@ class Recorder:
             ],
             "options": dict(options or {}),
         }
-        pipe.add(OPEN, json.dumps(order).encode())
-        self._exchange_until(lambda: self._opened, OPEN_TIMEOUT)
+        pipe.order(order, TIMEOUT)
+        self._await("opened", TIMEOUT)
         if self.error is not None:
             raise BagError(self.error)
+        self._failed = failed
 
     @property
     def active(self) -> bool:
         """Whether messages are still taken."""
         return self.error is None and not self._closing
 
+    @property
+    def written(self) -> int:
+        """Messages in the bag."""
+        return self._ring.done if self._written is None else self._written
+
     def put(self, topic: str, data: bytes, received: int) -> bool:
         """Hands over one message of CDR bytes received at a steady time [ns]; False if it was dropped."""
         with self._lock:
             sequence = self._sequences[topic] = self._sequences[topic] + 1
-            if not self.active:
+            if self._closing or self.error is not None:
                 return False
-            if self._full:
-                self._exchange()
-            taken = not self._full
-            if taken:
-                self._pipe.add(self._numbers[topic], data, sequence, self._zero + received)
+            if self._accepted >= self._most:
+                self._most = self._ring.done + self._capacity
+            room = self._accepted < self._most
+            if room and self._ring.put(self._numbers[topic], sequence, self._zero + received, data):
                 self._accepted += 1
-                self._fresh += 1
-            else:
-                self.dropped += 1
-            if time.monotonic() >= self._due or 4 * self._fresh >= self._capacity:
-                self._exchange()
-        self._tell()
-        return taken
+                return True
+            self.dropped += 1
+            return False
 
-    def close(self, timeout: float = 5.0) -> None:
+    def check(self) -> None:
+        """Looks whether the recording has ended by itself; to be called now and then."""
+        if self.active:
+            self._hear()
+
+    def close(self, timeout: float = TIMEOUT) -> None:
         """Writes what waits and finishes the bag; `error` says why when that failed."""
+        if not self.active:
+            return
         with self._lock:
-            if not self.active:
-                return
             self._closing = True
-            self._pipe.add(CLOSE, b"")
-        self._exchange_until(lambda: self._closed, timeout)
-        self._tell()
+        self._pipe.order(None, timeout)
+        self._await("closed", timeout)
 
     def summary(self) -> str:
         """One line: the bag, what it holds, and what went wrong."""
         text = f"{self.path}: {self.written} messages, {self.dropped} dropped"
         return f"{text}; {self.error}" if self.error else text
 
-    @property
-    def _full(self) -> bool:
-        return self._accepted - self.written >= self._capacity
-
-    def _exchange(self) -> None:
-        """Hands over what waits and takes the answers."""
-        if self.error is not None:
-            return
-        self._fresh = 0
-        self._due = time.monotonic() + HAND_OVER_PERIOD
-        try:
-            for answer in self._pipe.exchange():
-                self.written = answer.get("written", self.written)
-                self._opened |= "opened" in answer
-                self._closed |= "closed" in answer
-                self.error = answer.get("error")
-        except BrokenPipeError:
-            self._pipe.let_go()
-            ending = f"the process that writes it ended{self._pipe.ending()}"
-            self.error = f"{self.path}: {ending}; what was recorded before stays readable"
-        self._untold = self.error
-
-    def _exchange_until(self, done: Callable[[], bool], timeout: float) -> None:
+    def _await(self, answer: str, timeout: float) -> None:
+        """Waits for an answer, or for the end of the recording."""
         end = time.monotonic() + timeout
-        self._exchange()
-        while not done() and self.error is None:
+        while self.error is None and answer not in self._hear(max(0.0, end - time.monotonic())):
             if time.monotonic() >= end:
                 self._pipe.let_go()
-                self.error = self._untold = f"{self.path}: the disk did not take the rest within {timeout:g} s"
-            else:
-                self._pipe.wait(end - time.monotonic())
-                self._exchange()
+                self._end(f"{self.path}: the disk did not take the rest within {timeout:g} s")
+        if answer == "closed" and self.error is None:
+            self._end(None)
 
-    def _tell(self) -> None:
-        """Says once why the recording ended."""
-        reason, self._untold = self._untold, None
-        if reason is not None:
-            self._failed(f"recording stopped: {reason}")
+    def _hear(self, timeout: float = 0.0) -> set[str]:
+        """Takes the answers that come."""
+        try:
+            answers = {key: value for answer in self._pipe.answers(timeout) for key, value in answer.items()}
+        except BrokenPipeError:
+            ending = f"the process that writes it ended{self._pipe.ending()}"
+            self._pipe.let_go()
+            self._end(f"{self.path}: {ending}; what was recorded before stays readable")
+            return set()
+        if "error" in answers:
+            self._end(answers["error"])
+        return set(answers)
+
+    def _end(self, error: str | None) -> None:
+        """From now on the process is another's."""
+        with self._lock:
+            self._written = self._ring.done
+            self.error = error
+        if error is not None:
+            self._failed(f"recording stopped: {error}")
