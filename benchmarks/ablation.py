@@ -117,8 +117,7 @@ def cost_of_messages(scene: str, listens: bool, records: bool, seconds: float = 
     """Processor time a step [s] and point clouds a second, over so many seconds."""
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
-    from node_memory import cpu_seconds
-    from node_process import DOMAIN, running_node
+    from node_process import DOMAIN, cpu_seconds, running_node
     from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import PointCloud2
 

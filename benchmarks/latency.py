@@ -25,8 +25,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from node_memory import cpu_seconds
-from node_process import DOMAIN, environment, running_node, started
+from node_process import DOMAIN, cpu_seconds, environment, running_node, started
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message

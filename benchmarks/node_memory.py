@@ -11,7 +11,7 @@ import threading
 import time
 from pathlib import Path
 
-from node_process import environment, running_node
+from node_process import cpu_seconds, environment, running_node
 
 
 def main() -> None:
@@ -47,12 +47,6 @@ def resident(pid: int) -> int:
     """Resident memory [byte]."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
-
-
-def cpu_seconds(pid: int) -> float:
-    """User and system time [s]."""
-    words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
 if __name__ == "__main__":

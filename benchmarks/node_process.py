@@ -1,4 +1,4 @@
-"""finger_node, or another program, in a process and a ROS domain of its own."""
+"""finger_node, or another program, in a process and a ROS domain of its own, and what it costs."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 DOMAIN = os.environ.get("ROS_DOMAIN_ID") or str(1 + os.getpid() % 100)
 """The one that is set, or this process's own."""
@@ -47,3 +48,23 @@ def started(
     finally:
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=10)
+
+
+def cpu_seconds(pid: int) -> float:
+    """User and system time of a process [s]."""
+    words = _stat(pid)
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def bag_process(parent: int) -> int:
+    """The process that writes the bags of a node."""
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if int(_stat(process.name)[1]) == parent and b"bag_process" in (process / "cmdline").read_bytes():
+                return int(process.name)
+    raise SystemExit("the node has no process that writes bags")
+
+
+def _stat(pid: int | str) -> list[str]:
+    """The words of /proc/PID/stat after the name, which may hold anything."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()

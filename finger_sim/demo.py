@@ -286,7 +286,7 @@ def sum_up(
     if reader.warning:
         outcome.failures.append(f"the bag is not whole: {reader.warning}")
     if health.dropped:
-        outcome.failures.append(f"{health.dropped} messages not recorded: the disk is too slow")
+        outcome.failures.append(f"{health.dropped} messages not recorded: disk or processor too slow")
     if len(during) < 2:
         outcome.failures.append("no contact_wrench was recorded while commands came in")
     if health.refused:

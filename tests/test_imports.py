@@ -51,6 +51,13 @@ def test_import_is_light(module: str) -> None:
     assert not loaded & {"matplotlib", "gmsh", "rclpy", "pytest", "hypothesis", "skfem", "clarabel"}
 
 
+def test_a_process_that_writes_bags_is_lean() -> None:
+    """It starts fast: neither numbers nor compilers nor ROS."""
+    out = python("import sys, finger_sim.bag_process\nprint(*sys.modules)")
+    loaded = {name.split(".")[0] for name in out.split()}
+    assert not loaded & {"numpy", "numba", "scipy", "rosbags", "rclpy", "rich"}
+
+
 def test_public_names() -> None:
     """The names that users' scripts import, and nothing that does not exist."""
     import finger_sim

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
 import os
+import resource
 import signal
-import threading
+import sys
 import time
 from collections import defaultdict
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,11 +19,14 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from ros_helpers import Client, NodeProcess, write_block
+from ros_helpers import Client, NodeProcess, bag_process, write_block
 from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool
 
 from finger_sim import BagError, Scene, replay
-from finger_sim.bags import BagReader, BagWriter, Qos
+from finger_sim.bag_ring import SIZE
+from finger_sim.bags import BagReader, Qos
+from finger_sim.ros.bag_pipe import COMMAND, Standby
 from finger_sim.ros.recorder import Recorder, Topic
 
 TOPICS = [
@@ -29,24 +36,59 @@ TOPICS = [
 WRENCH = bytes([0, 1, 0, 0]) + bytes(60)
 
 
-class Gate(BagWriter):
-    """A disk that does not take a message while the gate is closed."""
+class Disk:
+    """A process that writes bags, and recordings to it; `told` is why they ended."""
 
-    open = threading.Event()
+    def __init__(self, folder, command=COMMAND):
+        self.standby = Standby(command)
+        self.path = folder / "bag"
+        self.told = []
 
-    def write(self, *arguments, **options):
-        assert self.open.wait(60)
-        super().write(*arguments, **options)
+    def record(self, capacity=1000):
+        return Recorder(self.path, TOPICS, capacity, self.standby.pipe(), failed=self.told.append)
+
+    @property
+    def pid(self):
+        return bag_process(os.getpid())
+
+    @contextlib.contextmanager
+    def stalled(self):
+        """It takes nothing meanwhile."""
+        pid = self.pid
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            os.kill(pid, signal.SIGCONT)
+
+    @contextlib.contextmanager
+    def full(self):
+        """The system refuses meanwhile to write more than so far."""
+        pid = self.pid
+        before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+        used = max(file.stat().st_size for file in self.path.iterdir())
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (used, before[1]))
+        try:
+            yield
+        finally:
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
 
 
-class Broken(BagWriter):
-    """A disk that is full from the third message on."""
+@pytest.fixture
+def disk(tmp_path):
+    disk = Disk(tmp_path)
+    yield disk
+    disk.standby.end()
 
-    def write(self, *arguments, **options):
-        if sum(self.counts.values()) == 2:
-            self.abort()
-            raise BagError(f"{self.files[-1]}: cannot be written: No space left on device")
-        super().write(*arguments, **options)
+
+def until(condition, repeat=lambda: None):
+    """Waits for a condition and gives its value; `repeat` is called meanwhile."""
+    end = time.monotonic() + 60
+    while not (value := condition()):
+        assert time.monotonic() < end, "the condition did not come true"
+        repeat()
+        time.sleep(0.01)
+    return value
 
 
 def sequences(path):
@@ -57,97 +99,207 @@ def sequences(path):
     return found
 
 
-def test_a_full_queue_drops_whole_messages_and_the_gap_shows(tmp_path):
-    """Of ten messages five fit; what is written next carries its own number."""
-    Gate.open.clear()
-    recorder = Recorder(tmp_path / "bag", TOPICS, 5, Gate)
-    taken = [recorder.put("/a", WRENCH, 1000 + i) for i in range(10)]
-    # The writer may hold one message in its hand, out of the queue.
-    kept = sum(taken)
-    assert kept in (5, 6)
-    assert recorder.dropped == 10 - kept
-    Gate.open.set()
-    end = time.monotonic() + 60
-    while recorder.written < kept and time.monotonic() < end:
-        time.sleep(0.01)
-    assert recorder.put("/a", WRENCH, 2000)
+def test_a_full_queue_drops_whole_messages_and_the_gap_shows(disk):
+    """Of ten messages five fit while the disk takes none; what is written next carries its own number."""
+    recorder = disk.record(capacity=5)
+    with disk.stalled():
+        taken = [recorder.put("/a", WRENCH, 1000 + i) for i in range(10)]
+        assert taken == [True] * 5 + [False] * 5
+        assert recorder.dropped == 5
+    tries = itertools.count(11)
+    number = until(lambda: recorder.put("/a", WRENCH, 2000) * next(tries))
     assert recorder.put("/b", WRENCH, 2001)
     recorder.close()
     assert recorder.error is None
-    accepted = [i + 1 for i, one in enumerate(taken) if one]
-    assert sequences(tmp_path / "bag") == {"/a": [*accepted, 11], "/b": [1]}
-    assert (tmp_path / "bag" / "metadata.yaml").is_file()
+    assert recorder.dropped == number - 6
+    assert sequences(disk.path) == {"/a": [1, 2, 3, 4, 5, number], "/b": [1]}
+    assert (disk.path / "metadata.yaml").is_file()
 
 
-def test_messages_arrive_as_they_were_given(tmp_path):
+def test_messages_arrive_as_they_were_given(disk):
     """Bytes and log times, in order, nothing lost below capacity."""
-    recorder = Recorder(tmp_path / "bag", TOPICS, 1000)
-    for i in range(500):
-        assert recorder.put("/a", WRENCH + bytes([i % 256]), 10_000 + i)
+    recorder = disk.record()
+    data = WRENCH + bytes(10_000)
+    with disk.stalled():
+        for i in range(500):
+            assert recorder.put("/a", data + bytes([i % 256]), 10_000 + i)
     recorder.close()
-    messages = list(BagReader(tmp_path / "bag").messages())
+    messages = list(BagReader(disk.path).messages())
     assert [m.log_time - messages[0].log_time for m in messages] == list(range(500))
-    assert [m.data[-1] for m in messages] == [i % 256 for i in range(500)]
+    assert [m.data for m in messages] == [data + bytes([i % 256]) for i in range(500)]
     assert (recorder.written, recorder.dropped) == (500, 0)
 
 
-def test_a_bad_disk_ends_the_recording_with_its_reason(tmp_path):
-    """No exception reaches who hands over messages; what was written before stays readable."""
-    recorder = Recorder(tmp_path / "bag", TOPICS, 1000, Broken)
-    for i in range(5):
-        recorder.put("/a", WRENCH, 1000 + i)
-    end = time.monotonic() + 60
-    while recorder.error is None and time.monotonic() < end:
-        time.sleep(0.01)
-    assert "No space left" in (recorder.error or "")
-    assert not recorder.active
-    assert not recorder.put("/a", WRENCH, 2000)
+def test_more_bytes_than_may_wait_are_dropped_too(disk):
+    """Of twenty megabytes those messages are kept that fit into the memory; the next one shows the gap."""
+    recorder = disk.record()
+    with disk.stalled():
+        taken = [recorder.put("/a", bytes(1_000_000), 1000 + i) for i in range(20)]
+    kept = sum(taken)
+    assert taken == [True] * kept + [False] * (20 - kept)
+    assert kept == SIZE // 1_000_100
+    until(lambda: recorder.put("/b", bytes(1_000_000), 2000))
     recorder.close()
-    assert "No space left" in recorder.summary()
-    assert sequences(tmp_path / "bag")["/a"] == [1, 2]
+    found = sequences(disk.path)
+    assert found["/a"] == list(range(1, kept + 1))
+    assert recorder.dropped == 20 - kept + found["/b"][0] - 1
 
 
-class Odd(BagWriter):
-    """A library that fails in a way that nobody thought of."""
+def test_nobody_waits_for_a_stalled_disk(disk):
+    """Messages are taken meanwhile; who closes waits as long as he likes, and loses nothing.
+
+    The process is left to finish the bag by itself; the next recording gets another.
+    """
+    recorder = disk.record()
+    with disk.stalled():
+        pid = disk.pid
+        assert all(recorder.put("/a", WRENCH, 1000 + i) for i in range(500))
+        recorder.close(timeout=0.05)
+        assert "the disk did not take the rest within 0.05 s" in recorder.error
+        other = Recorder(disk.path.with_name("other"), TOPICS, 10, disk.standby.pipe())
+        assert other.put("/a", WRENCH, 1000)
+        other.close()
+        assert other.error is None
+    until((disk.path / "metadata.yaml").is_file)
+    assert sequences(disk.path) == {"/a": list(range(1, 501))}
+    until(lambda: not os.path.exists(f"/proc/{pid}/exe"))
+
+
+def test_a_full_disk_ends_the_recording_with_its_reason(disk):
+    """No exception reaches who hands over messages; what was written before stays readable; later there is room."""
+    recorder = disk.record()
+    (file,) = disk.path.iterdir()
+    empty, pid = file.stat().st_size, disk.pid
+    put = lambda: recorder.put("/a", WRENCH, time.monotonic_ns())  # noqa: E731
+    until(lambda: file.stat().st_size > empty, put)
+    with disk.full():
+        until(lambda: recorder.check() or recorder.error, put)
+    assert disk.told == [f"recording stopped: {recorder.error}"]
+    assert f"{file}: cannot be written: File too large" in recorder.summary()
+    assert not recorder.active
+    assert not put()
+    recorder.close()
+    assert len(disk.told) == 1
+    numbers = sequences(disk.path)["/a"]
+    assert numbers == list(range(1, len(numbers) + 1))
+    other = Recorder(disk.path.with_name("other"), TOPICS, 10, disk.standby.pipe())
+    other.close()
+    assert other.error is None
+    assert disk.pid == pid
+
+
+ODD = """
+import sys
+from finger_sim import bag_process
+
+class Odd(bag_process.BagWriter):
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        print("noise from a library", flush=True)
 
     def write(self, *arguments, **options):
         raise RuntimeError("out of luck")
 
+bag_process.BagWriter = Odd
+sys.exit(bag_process.main())
+"""
+"""A library that fails in a way that nobody thought of, and prints."""
+
 
 def test_any_failure_ends_the_recording_and_is_told(tmp_path):
-    """The thread does not die in silence with its queue filling up; the file is closed."""
-    told = []
-    recorder = Recorder(tmp_path / "bag", TOPICS, 1000, Odd, told.append)
+    """The process does not die in silence with its queue filling up; the file is closed."""
+    disk = Disk(tmp_path, (sys.executable, "-c", ODD))
+    recorder = disk.record()
     recorder.put("/a", WRENCH, 1000)
     recorder.close()
-    assert told == [f"recording stopped: {recorder.error}"]
-    assert "out of luck" in told[0]
-    assert str(tmp_path / "bag") in told[0]
+    assert disk.told == [f"recording stopped: {recorder.error}"]
+    assert "out of luck" in disk.told[0]
+    assert str(disk.path) in disk.told[0]
     assert not recorder.put("/a", WRENCH, 2000)
-    assert not any(str(tmp_path) in os.readlink(f"/proc/self/fd/{n}") for n in open_files())
+    files = Path(f"/proc/{disk.pid}/fd").iterdir()
+    assert not any(str(disk.path) in os.readlink(file) for file in files)
+    disk.standby.end()
 
 
-def open_files():
-    """Numbers of this process's open files."""
-    return [entry for entry in os.listdir("/proc/self/fd") if os.path.lexists(f"/proc/self/fd/{entry}")]
+def test_a_killed_process_ends_the_recording_and_is_told(disk):
+    """The next recording gets another one."""
+    recorder = disk.record()
+    os.kill(disk.pid, signal.SIGKILL)
+    until(lambda: recorder.check() or recorder.error, lambda: recorder.put("/a", WRENCH, 1000))
+    assert f"{disk.path}: the process that writes it ended" in recorder.error
+    assert disk.told == [f"recording stopped: {recorder.error}"]
+    recorder.close()
+    other = Recorder(disk.path.with_name("other"), TOPICS, 10, disk.standby.pipe())
+    other.put("/a", WRENCH, 1000)
+    other.close()
+    assert sequences(disk.path.with_name("other")) == {"/a": [1]}
 
 
-def test_log_times_begin_with_the_wall_clock(tmp_path):
+def test_a_process_killed_between_two_recordings_is_replaced(disk):
+    """Standby holds a process that runs."""
+    disk.standby.prepare()
+    first = disk.pid
+    os.kill(first, signal.SIGKILL)
+    until(lambda: Path(f"/proc/{first}/stat").read_text().split()[2] == "Z")
+    disk.standby.prepare()
+    assert disk.pid != first
+    disk.record().close()
+
+
+@pytest.mark.parametrize(("command", "says"), [(("/no/such/program",), "started"), (("/bin/false",), "ended")])
+def test_a_process_that_cannot_write_is_an_error(tmp_path, command, says):
+    """Of the recording that asks for it, not before."""
+    disk = Disk(tmp_path, command)
+    disk.standby.prepare()
+    with pytest.raises(BagError, match=says):
+        disk.record()
+
+
+def test_signals_that_end_a_terminal_s_processes_do_not_end_a_bag(disk):
+    """The process that writes it ignores them, and is of another group than who records."""
+    recorder = disk.record()
+    pid = disk.pid
+    assert os.getpgid(pid) != os.getpgid(0)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(pid, number)
+    recorder.put("/a", WRENCH, 1000)
+    recorder.close()
+    assert recorder.error is None
+    assert sequences(disk.path) == {"/a": [1]}
+
+
+def test_a_bag_is_finished_though_nobody_closes_it(disk):
+    """All that was handed over is in a whole bag, though the process had not yet looked at it."""
+    recorder = disk.record()
+    with disk.stalled():
+        for i in range(3):
+            assert recorder.put("/a", WRENCH, 1000 + i)
+        disk.standby.end()
+    until((disk.path / "metadata.yaml").is_file)
+    assert BagReader(disk.path).warning is None
+    assert sequences(disk.path) == {"/a": [1, 2, 3]}
+
+
+def test_log_times_begin_with_the_wall_clock(disk):
     """A message received now is logged at the time that it is."""
-    recorder = Recorder(tmp_path / "bag", TOPICS, 1000)
+    recorder = disk.record()
     before = time.time_ns()
     recorder.put("/a", WRENCH, time.monotonic_ns())
     after = time.time_ns()
     recorder.close()
-    (message,) = BagReader(tmp_path / "bag")
+    (message,) = BagReader(disk.path)
     assert before - 1_000_000 <= message.log_time <= after + 1_000_000
 
 
-def test_an_existing_path_is_refused(tmp_path):
-    """A recording never writes into another."""
-    (tmp_path / "bag").mkdir()
+def test_an_existing_path_is_refused(disk):
+    """A recording never writes into another; the process is as good as before."""
+    disk.path.mkdir()
     with pytest.raises(BagError, match="exists"):
-        Recorder(tmp_path / "bag", TOPICS, 10)
+        disk.record()
+    pid = disk.pid
+    disk.path.rmdir()
+    disk.record().close()
+    assert disk.pid == pid
 
 
 JUMPING_CLOCK = """
@@ -248,7 +400,7 @@ def test_a_live_recording_replayed_gives_the_live_wrench(tmp_path):
 
 
 def test_a_killed_node_loses_at_most_a_second(tmp_path):
-    """After SIGKILL the bag is readable up to one second before."""
+    """After SIGKILL the bag holds all but the last second, and is finished."""
     bag = tmp_path / "bag"
     scene = write_block(tmp_path)
     with NodeProcess(tmp_path / "log", "-p", f"scene:={scene}", "-p", f"record:={bag}") as node:
@@ -257,6 +409,33 @@ def test_a_killed_node_loses_at_most_a_second(tmp_path):
             client.until(lambda: len(client.reports) >= 3, lambda: client.command(0.01))
         killed = time.time_ns()
         assert node.end(signal.SIGKILL) == -signal.SIGKILL
-    last = max(message.log_time for message in BagReader(bag).messages())
-    assert killed - last < 1_000_000_000
-    assert not (bag / "metadata.yaml").exists()
+    until((bag / "metadata.yaml").is_file)
+    reader = BagReader(bag)
+    assert reader.warning is None
+    assert killed - reader.end_time < 1_000_000_000
+    assert all(topic.lost == 0 for topic in reader.topics)
+
+
+def test_a_killed_writer_loses_at_most_a_second_and_the_node_lives(tmp_path):
+    """Diagnostics and service say why; the bag is readable up to one second before; recording works again."""
+    bag = tmp_path / "bag"
+    arguments = ("-p", f"scene:={write_block(tmp_path)}", "-p", f"record:={bag}", "-p", f"record_directory:={tmp_path}")
+    with NodeProcess(tmp_path / "log", *arguments) as node:
+        node.wait_for("ready after")
+        with Client(node.domain) as client:
+            client.until(lambda: len(client.reports) >= 3, lambda: client.command(0.01))
+            killed = time.time_ns()
+            os.kill(bag_process(node.process.pid), signal.SIGKILL)
+            client.until(lambda: "the process that writes it ended" in client.reports[-1].status[0].message)
+            answer = client.call(SetBool, "/finger/record", SetBool.Request(data=False))
+            assert not answer.success
+            assert "the process that writes it ended" in answer.message
+            assert client.call(SetBool, "/finger/record", SetBool.Request(data=True)).success
+            answer = client.call(SetBool, "/finger/record", SetBool.Request(data=False))
+            assert answer.success, answer.message
+        assert node.end() == 0
+    assert "recording stopped" in node.output
+    reader = BagReader(bag)
+    assert reader.truncated
+    assert killed - reader.end_time < 1_000_000_000
+    assert all(topic.lost == 0 for topic in reader.topics)

@@ -150,5 +150,5 @@ class Reporter:
         if recorder and recorder.error:
             problems.append((2, f"recording stopped: {recorder.error}"))
         if dropped > self._dropped:
-            problems.append((1, f"{dropped - self._dropped} records dropped: the disk is too slow"))
+            problems.append((1, f"{dropped - self._dropped} records dropped: disk or processor too slow"))
         self._dropped = dropped

@@ -75,27 +75,21 @@ class Inbox:
         """What no executor is to wait for."""
         return (self._commands.entity, self._plane.entity)
 
-    @property
-    def command_topic(self) -> str:
-        """Its resolved name."""
-        return str(self._commands.entity.topic_name)
-
     def recorded_topics(self) -> list[Topic]:
         """Topics that are recorded as they come."""
         kind = "geometry_msgs/msg/PoseStamped"
-        return [Topic(self.command_topic, kind, COMMAND_QOS[self._outputs.options.mode])]
+        return [
+            Topic(self._commands.name, kind, COMMAND_QOS[self._outputs.options.mode]),
+            Topic(self._plane.name, kind, PLANE_QOS),
+        ]
 
     def commands(self) -> list[Command]:
         """The good ones that came since the last look, in their order; the others are counted, and said once."""
         with self._lock:
-            taken = self._commands.take()
+            taken = self._take(self._commands)
             if not taken:
                 return []
             self.received += len(taken)
-            recorder = self._outputs.recorder
-            if recorder is not None:
-                for data, received in taken:
-                    recorder.put(self.command_topic, data, received)
             now, clock = time.monotonic_ns(), self._clock.now().nanoseconds
             good = []
             for data, received in taken:
@@ -110,7 +104,7 @@ class Inbox:
     def plane(self) -> Pose | None:
         """The newest good pose of the plane that came since the last look."""
         with self._lock:
-            good = [self._accepted(data, "plane_pose") for data, _ in self._plane.take()]
+            good = [self._accepted(data, "plane_pose") for data, _ in self._take(self._plane)]
             return next((accepted[0] for accepted in reversed(good) if accepted is not None), None)
 
     def wait(self, timeout: float) -> bool:
@@ -126,6 +120,14 @@ class Inbox:
     def wake(self) -> None:
         """Ends a `wait`, or the next one; from any thread."""
         self._guard.trigger()
+
+    def _take(self, subscription: _Subscription) -> list[tuple[bytes, int]]:
+        """What came on it, recorded if there is a recording."""
+        taken, recorder = subscription.take(), self._outputs.recorder
+        if recorder is not None:
+            for data, received in taken:
+                recorder.put(subscription.name, data, received)
+        return taken
 
     def _accepted(self, data: bytes, what: str) -> tuple[Pose, int] | None:
         """Pose and stamp [ns] of a message; None, counted and said once, where it is of no use."""
@@ -147,12 +149,16 @@ class Inbox:
 
 
 class _Subscription:
-    """One to PoseStamped whose messages lie until they are taken, at most as many as its depth."""
+    """One to PoseStamped whose messages lie until they are taken, at most as many as its depth.
+
+    name : of the topic, resolved
+    """
 
     def __init__(self, node: Any, topic: str, qos: Qos, overriding: Any = None) -> None:
         self.entity = node.create_subscription(
             PoseStamped, topic, lambda _: None, ros_qos(qos), raw=True, qos_overriding_options=overriding
         )
+        self.name = str(self.entity.topic_name)
         self._looked = time.monotonic_ns()
 
     def take(self) -> list[tuple[bytes, int]]:

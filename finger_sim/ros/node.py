@@ -1,8 +1,7 @@
 """The ROS 2 node `finger`: commands in, wrenches and the deformed finger out, in real time.
 
-Run it with `ros2 run finger_sim finger_node` or `python3 -m finger_sim.ros.node`. Three threads share the
-work: the main one serves ROS and reports, the loop makes the steps and sends what they bring, the recorder
-writes the bag.
+Run it with `ros2 run finger_sim finger_node` or `python3 -m finger_sim.ros.node`. Two threads share the work: the
+main one serves ROS and reports, the loop makes the steps and sends what they bring. A process of its own writes bags.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, Future
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +28,10 @@ from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
-from ..bags import BagWriter
 from ..errors import FingerSimError, SceneError
 from ..scene import Scene
 from . import parameters
+from .bag_pipe import Standby
 from .diagnostics import Reporter
 from .inbox import Command, Inbox
 from .loop import Loop, RateLoop, TriggeredLoop, prefer_this_thread
@@ -69,6 +67,8 @@ class FingerNode(Node):  # type: ignore[misc]
         self.add_pre_set_parameters_callback(lambda given: parameters.widen(given, self._parameters))
         self.add_on_set_parameters_callback(self._on_set)
 
+        self._standby = Standby()
+        self._standby.prepare()
         self._progress = "loading"
         self._outputs = Outputs(self, options)
         self._stepper = Stepper(scene, self._outputs, self.get_clock(), log)
@@ -116,6 +116,7 @@ class FingerNode(Node):  # type: ignore[misc]
         if recorder is not None:
             recorder.close()
             self.get_logger().info(recorder.summary())
+        self._standby.end()
         error = self._loop.error
         if error is not None:
             self.get_logger().fatal(" ".join(f"{type(error).__name__}: {error}".split()))
@@ -154,6 +155,9 @@ class FingerNode(Node):  # type: ignore[misc]
         self.get_logger().info(text)
 
     def _report(self) -> None:
+        if self._outputs.recorder is not None:
+            self._outputs.recorder.check()
+        self._standby.prepare()
         report = self._reporter.report(self.get_clock().now().to_msg(), self._progress)
         self._outputs.send("/diagnostics", serialize_message(report))
 
@@ -205,6 +209,8 @@ class FingerNode(Node):  # type: ignore[misc]
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         recorder = self._outputs.recorder
+        if recorder is not None:
+            recorder.check()
         recording = recorder is not None and recorder.active
         try:
             if request.data and recorder and recording:
@@ -227,13 +233,13 @@ class FingerNode(Node):  # type: ignore[misc]
     def _record(self, path: str | Path) -> Recorder:
         options = self._outputs.options
         topics = [*self._outputs.recorded_topics(), *self._inbox.recorded_topics()]
-        writer = partial(
-            BagWriter,
-            compression=options.record_compression,
-            split_bytes=1e6 * options.record_split_size or math.inf,
-            split_seconds=options.record_split_time or math.inf,
-        )
-        recorder = Recorder(_bag_path(path), topics, options.record_queue, writer, self.get_logger().error)
+        bag = {
+            "compression": options.record_compression,
+            "split_bytes": 1e6 * options.record_split_size or math.inf,
+            "split_seconds": options.record_split_time or math.inf,
+        }
+        failed = self.get_logger().error
+        recorder = Recorder(_bag_path(path), topics, options.record_queue, self._standby.pipe(), bag, failed)
         self._outputs.start_recording(recorder)
         return recorder
 

@@ -149,7 +149,7 @@ class NodeOptions:
     )
     record_queue: int = field(
         "int",
-        "Messages that may wait for the disk; more are dropped and counted",
+        "Messages that may wait to be written; more are dropped and counted",
         default=20_000,
         low=1,
         high=1_000_000,

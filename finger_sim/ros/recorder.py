@@ -1,7 +1,9 @@
-"""Records messages as they pass: a bounded queue, and a thread that writes the bag.
+"""Records messages as they pass: they are put into memory from which a process of its own writes the bag.
 
-Nobody who hands over a message ever waits for the disk. When the queue is full, whole messages are dropped
-and counted; each message gets its sequence number on arrival, so that a loss shows as a gap in the bag.
+Nobody who hands over a message ever waits for the disk or calls the system, and the work of writing does not hold
+this process's interpreter. When too many messages wait, whole ones are dropped and counted; each message gets its
+sequence number on arrival, so that a loss shows as a gap in the bag. Where this process is killed, the bag is
+finished all the same.
 
 Log times count on the steady clock from the wall clock's time at the start: when that jumps, the order and the
 distances of messages stay true.
@@ -11,18 +13,19 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from ..bags import BagWriter, Qos
+from .. import cdr
+from ..bag_process import Order
+from ..bags import Qos
 from ..errors import BagError
+from .bag_pipe import BagPipe
 
-WAKE_PERIOD = 0.002
-"""Rest of the writer thread between two looks at the queue [s]: so it holds the interpreter for few messages."""
-FLUSH_PERIOD = 0.4
-"""Longest time that a message taken from the queue stays in memory [s]."""
+TIMEOUT = 5.0
+"""How long the disk may take to begin a bag, and to finish it [s]."""
 
 
 class Topic(NamedTuple):
@@ -33,21 +36,17 @@ class Topic(NamedTuple):
     qos: Qos
 
 
-class _Record(NamedTuple):
-    topic: str
-    data: bytes
-    log_time: int
-    sequence: int
-
-
 class Recorder:
-    """A bag being written by a thread of its own.
+    """A bag being written by another process.
+
+    `put` may be called by any thread, all else by one at a time.
 
     path     : folder of the bag; BagError if it exists or cannot be made
     topics   : announced in this order
-    capacity : messages that may wait
-    writer   : makes the BagWriter
-    failed   : is told why, from the recorder's thread, when the disk ends the recording
+    capacity : messages that may wait to be written
+    pipe     : the process; lent to this recorder until it is closed
+    options  : of the BagWriter
+    failed   : is told why, by whoever checks or closes, when something ended the recording
     """
 
     def __init__(
@@ -55,77 +54,107 @@ class Recorder:
         path: str | Path,
         topics: Sequence[Topic],
         capacity: int,
-        writer: Callable[[str | Path], BagWriter] = BagWriter,
+        pipe: BagPipe,
+        options: Mapping[str, Any] | None = None,
         failed: Callable[[str], object] = lambda _: None,
     ) -> None:
-        self.written = 0
+        self.path = Path(path).absolute()
         self.dropped = 0
         self.error: str | None = None
-        self._capacity, self._failed = capacity, failed
+        self._capacity, self._pipe, self._ring = capacity, pipe, pipe.ring
+        self._failed: Callable[[str], object] = lambda _: None  # who makes a recorder gets an exception
         self._zero = time.time_ns() - time.monotonic_ns()
+        self._numbers = {topic.name: number for number, topic in enumerate(topics)}
         self._sequences = {topic.name: 0 for topic in topics}
-        self._queue: deque[_Record] = deque()
         self._lock = threading.Lock()
-        self._closing = threading.Event()
-        self._bag = writer(path)
-        try:
-            for topic in topics:
-                self._bag.add_topic(topic.name, topic.type, qos=topic.qos)
-        except BagError:
-            self._bag.abort()
-            raise
-        self.path = self._bag.path
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
-        self._thread.start()
+        self._accepted, self._most = 0, capacity
+        self._written: int | None = None
+        self._closing = False
+        order: Order = {
+            "path": str(self.path),
+            "topics": [
+                {"name": name, "type": type, "definition": cdr.definition(type), "qos": astuple(qos)}
+                for name, type, qos in topics
+            ],
+            "options": dict(options or {}),
+        }
+        pipe.order(order, TIMEOUT)
+        self._await("opened", TIMEOUT)
+        if self.error is not None:
+            raise BagError(self.error)
+        self._failed = failed
 
     @property
     def active(self) -> bool:
         """Whether messages are still taken."""
-        return self.error is None and not self._closing.is_set()
+        return self.error is None and not self._closing
+
+    @property
+    def written(self) -> int:
+        """Messages in the bag."""
+        return self._ring.done if self._written is None else self._written
 
     def put(self, topic: str, data: bytes, received: int) -> bool:
         """Hands over one message of CDR bytes received at a steady time [ns]; False if it was dropped."""
         with self._lock:
             sequence = self._sequences[topic] = self._sequences[topic] + 1
-            if not self.active or len(self._queue) >= self._capacity:
-                self.dropped += self.active
+            if self._closing or self.error is not None:
                 return False
-            self._queue.append(_Record(topic, data, self._zero + received, sequence))
-            return True
+            if self._accepted >= self._most:
+                self._most = self._ring.done + self._capacity
+            room = self._accepted < self._most
+            if room and self._ring.put(self._numbers[topic], sequence, self._zero + received, data):
+                self._accepted += 1
+                return True
+            self.dropped += 1
+            return False
 
-    def close(self, timeout: float = 5.0) -> None:
+    def check(self) -> None:
+        """Looks whether the recording has ended by itself; to be called now and then."""
+        if self.active:
+            self._hear()
+
+    def close(self, timeout: float = TIMEOUT) -> None:
         """Writes what waits and finishes the bag; `error` says why when that failed."""
+        if not self.active:
+            return
         with self._lock:
-            self._closing.set()
-        self._thread.join(timeout)
-        if self._thread.is_alive() and self.error is None:
-            self.error = f"{self.path}: the disk did not take the rest within {timeout:g} s"
+            self._closing = True
+        self._pipe.order(None, timeout)
+        self._await("closed", timeout)
 
     def summary(self) -> str:
         """One line: the bag, what it holds, and what went wrong."""
         text = f"{self.path}: {self.written} messages, {self.dropped} dropped"
         return f"{text}; {self.error}" if self.error else text
 
-    def _run(self) -> None:
-        try:
-            flushed = time.monotonic()
-            while not self._closing.is_set():
-                self._closing.wait(WAKE_PERIOD)
-                self._drain()
-                if time.monotonic() - flushed >= FLUSH_PERIOD:
-                    self._bag.flush()
-                    flushed = time.monotonic()
-            self._drain()
-            self._bag.close()
-        except Exception as error:
-            self.error = str(error) if isinstance(error, BagError) else f"{self.path}: {error!r}"
-            self._queue.clear()
-            self._bag.abort()
-            self._failed(f"recording stopped: {self.error}")
+    def _await(self, answer: str, timeout: float) -> None:
+        """Waits for an answer, or for the end of the recording."""
+        end = time.monotonic() + timeout
+        while self.error is None and answer not in self._hear(max(0.0, end - time.monotonic())):
+            if time.monotonic() >= end:
+                self._pipe.let_go()
+                self._end(f"{self.path}: the disk did not take the rest within {timeout:g} s")
+        if answer == "closed" and self.error is None:
+            self._end(None)
 
-    def _drain(self) -> None:
-        """Writes what waits at this moment."""
-        for _ in range(len(self._queue)):
-            record = self._queue.popleft()
-            self._bag.write(record.topic, record.data, record.log_time, sequence=record.sequence)
-            self.written += 1
+    def _hear(self, timeout: float = 0.0) -> set[str]:
+        """Takes the answers that come."""
+        try:
+            answers = {key: value for answer in self._pipe.answers(timeout) for key, value in answer.items()}
+        except BrokenPipeError:
+            ending = f"the process that writes it ended{self._pipe.ending()}"
+            self._pipe.let_go()
+            self._end(f"{self.path}: {ending}; what was recorded before stays readable")
+            return set()
+        if "error" in answers:
+            self._end(answers["error"])
+        return set(answers)
+
+    def _end(self, error: str | None) -> None:
+        """From now on the process is another's."""
+        with self._lock:
+            self._written = self._ring.done
+            self.error = error
+        if error is not None:
+            self._failed(f"recording stopped: {error}")
