@@ -291,6 +291,7 @@ def test_reset_says_the_pose(client):
 def test_recordings_on_and_off_twice(client):
     """Two files, both readable by an independent reader, with all topics and without a gap."""
     paths = []
+    planes = client.node.create_publisher(PoseStamped, "plane_pose", 10)
     for _ in range(2):
         answer = client.call(SetBool, "/finger/record", SetBool.Request(data=True))
         assert answer.success, answer.message
@@ -298,7 +299,7 @@ def test_recordings_on_and_off_twice(client):
         again = client.call(SetBool, "/finger/record", SetBool.Request(data=True))
         assert not again.success
         assert str(paths[-1]) in again.message
-        _, values = client.report(lambda: client.command(-0.0003))
+        _, values = client.report(lambda: (client.command(-0.0003), planes.publish(command(0.0))))
         assert values["recording"] == str(paths[-1])
         answer = client.call(SetBool, "/finger/record", SetBool.Request(data=False))
         assert answer.success, answer.message
@@ -309,8 +310,8 @@ def test_recordings_on_and_off_twice(client):
         assert (path / "metadata.yaml").is_file()
         topics = {t.name: t for t in BagReader(path).topics}
         assert set(topics) == {
-            "/command_pose", "/contact_wrench", "/device_wrench", "/pose", "/mesh_points", "/mesh_topology",
-            "/diagnostics",
+            "/command_pose", "/plane_pose", "/contact_wrench", "/device_wrench", "/pose", "/mesh_points",
+            "/mesh_topology", "/diagnostics",
         }  # fmt: skip
         assert all(t.count > 0 for t in topics.values()), topics
         numbers = {name: [m.sequence for m in BagReader(path).messages([name])] for name in topics}

@@ -77,7 +77,9 @@ class FingerNode(Node):  # type: ignore[misc]
         self._commands = self.create_subscription(
             PoseStamped, "command_pose", self._on_command, ros_qos(COMMAND_QOS), raw=True
         )
-        self.create_subscription(PoseStamped, "plane_pose", self._on_plane, ros_qos(COMMAND_QOS), raw=True)
+        self._planes = self.create_subscription(
+            PoseStamped, "plane_pose", self._on_plane, ros_qos(COMMAND_QOS), raw=True
+        )
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
         if options.record and os.path.lexists(_bag_path(options.record)):
@@ -159,6 +161,9 @@ class FingerNode(Node):  # type: ignore[misc]
             self._stepper.newest = Command(pose, 1e-9 * received, transport if known else 0.0)
 
     def _on_plane(self, data: bytes) -> None:
+        recorder = self._outputs.recorder
+        if recorder is not None:
+            recorder.put(self._planes.topic_name, data, time.monotonic_ns())
         pose = self._accepted(deserialize_message(data, PoseStamped), "plane_pose")
         if pose is not None:
             self._stepper.plane = pose
@@ -220,8 +225,9 @@ class FingerNode(Node):  # type: ignore[misc]
         return response
 
     def _record(self, path: str | Path) -> Recorder:
-        command = Topic(self._commands.topic_name, "geometry_msgs/msg/PoseStamped", COMMAND_QOS)
-        topics = [*self._outputs.recorded_topics(), command]
+        inputs = (self._commands.topic_name, self._planes.topic_name)
+        heard = (Topic(name, "geometry_msgs/msg/PoseStamped", COMMAND_QOS) for name in inputs)
+        topics = [*self._outputs.recorded_topics(), *heard]
         options = self._outputs.options
         bag = {
             "compression": options.record_compression,
