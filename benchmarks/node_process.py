@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-DOMAIN = "87"
+DOMAIN = os.environ.get("ROS_DOMAIN_ID", "87")
 
 
 def environment(changes: Mapping[str, str] | None = None) -> dict[str, str]:
