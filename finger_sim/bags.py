@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +27,12 @@ __all__ = [
     "Commands",
     "Compression",
     "Message",
+    "PlanePoses",
     "Qos",
     "Topic",
     "absolute",
+    "commands_of",
+    "plane_poses_of",
     "read_commands",
     "require_absent",
     "write_commands",
@@ -146,7 +150,7 @@ class Commands:
 def read_commands(path: str | Path, topic: str | None = None) -> Commands:
     """The commanded poses in a bag.
 
-    topic : of type PoseStamped; if left out `command_pose` (in any namespace), else the only one of poses
+    topic : of type PoseStamped; if left out `command_pose` (in any namespace), else the only one but the plane's poses
     Raises BagError when there is no such topic, more than one, another type, or no good command on it.
     """
     return commands_of(BagReader(path), topic)
@@ -155,47 +159,99 @@ def read_commands(path: str | Path, topic: str | None = None) -> Commands:
 def commands_of(reader: BagReader, topic: str | None = None) -> Commands:
     """As `read_commands`, of a bag that is already open."""
     chosen = _command_topic(reader, topic)
-    rows: list[tuple[int, int, str, list[float]]] = []
-    for number, message in enumerate(reader.messages([chosen]), start=1):
-        if message.type != cdr.POSE_STAMPED:
-            raise BagError(f"{reader.path}: topic {chosen}, message {number}: is {message.type}")
-        try:
-            pose = cdr.deserialize(message.data, cdr.POSE_STAMPED)
-        except ValueError as error:
-            raise BagError(f"{reader.path}: topic {chosen}, message {number}: {error}") from None
-        p, q, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
-        rows.append(
-            (
-                message.log_time,
-                stamp.sec * 1_000_000_000 + stamp.nanosec,
-                pose.header.frame_id,
-                [p.x, p.y, p.z, q.x, q.y, q.z, q.w],
-            )
-        )
+    rows = _read_poses(reader, chosen)
     if not rows:
         raise BagError(f"{reader.path}: topic {chosen} has no message")
-    frame_id = Counter(row[2] for row in rows).most_common(1)[0][0]
-    reasons = [_refusal(row[2], row[3], frame_id) for row in rows]
-    good = [row for row, reason in zip(rows, reasons, strict=True) if reason is None]
-    refusals = [f"message {i}: {reason}" for i, reason in enumerate(reasons, start=1) if reason]
+    frame_id = Counter(row.frame_id for row in rows).most_common(1)[0][0]
+    good, refusals = _good_ones(rows, frame_id)
     if not good:
         raise BagError(f"{reader.path}: topic {chosen} has no good command; {refusals[0]}")
-    start, first_stamp = good[0][0], good[0][1]
-    if (span := (good[-1][0] - start) * 1e-9) > LONGEST:
+    start, first_stamp = good[0].log_time, good[0].stamp
+    if (span := (good[-1].log_time - start) * 1e-9) > LONGEST:
         raise BagError(f"{reader.path}: topic {chosen}: log times span {span:.3g} s, allowed: {LONGEST:g} s")
-    values = np.array([row[3] for row in good])
+    position, orientation = _arrays(good)
     return Commands(
         topic=chosen,
         frame_id=frame_id,
         start=start,
-        receipt_ns=np.array([row[0] - start for row in good], dtype=np.int64),
-        stamp=np.array([(row[1] - first_stamp) * 1e-9 for row in good]),
-        position=values[:, :3],
-        orientation=values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True),
+        receipt_ns=np.array([row.log_time - start for row in good], dtype=np.int64),
+        stamp=np.array([(row.stamp - first_stamp) * 1e-9 for row in good]),
+        position=position,
+        orientation=orientation,
         refused=len(refusals),
         refusal=refusals[0] if refusals else None,
         warning=reader.warning,
     )
+
+
+@dataclass(frozen=True)
+class PlanePoses:
+    """The poses that the plane was told to take, in the order of their receipt; refused as commands are."""
+
+    topic: str
+    receipt_ns: NDArray[np.int64]
+    """(n,) log times since the first good command [ns], never falling; negative before it."""
+    position: NDArray[np.float64]
+    """(n, 3) a point of the plane in the commands' frame [m]."""
+    orientation: NDArray[np.float64]
+    """(n, 4) unit quaternions xyzw; z is the plane's normal."""
+    refused: int = 0
+
+    def __len__(self) -> int:
+        return len(self.receipt_ns)
+
+
+def plane_poses_of(reader: BagReader, commands: Commands, topic: str | None = None) -> PlanePoses | None:
+    """The poses of the plane in a bag with these commands; None where there are none.
+
+    topic : of type PoseStamped; if left out `plane_pose` beside the commands, else in the only namespace it is in
+    Raises BagError when there is no such topic, more than one, or another type.
+    """
+    chosen = _plane_topic(reader, commands.topic, topic)
+    if chosen is None:
+        return None
+    good, refusals = _good_ones(_read_poses(reader, chosen), commands.frame_id)
+    position, orientation = _arrays(good)
+    receipt = np.array([row.log_time - commands.start for row in good], dtype=np.int64)
+    return PlanePoses(chosen, receipt, position, orientation, len(refusals))
+
+
+class _Row(NamedTuple):
+    """One recorded pose: times [ns], position [m] and quaternion xyzw."""
+
+    log_time: int
+    stamp: int
+    frame_id: str
+    values: list[float]
+
+
+def _read_poses(reader: BagReader, topic: str) -> list[_Row]:
+    """All messages of a topic; BagError for one that is no pose."""
+    rows = []
+    for number, message in enumerate(reader.messages([topic]), start=1):
+        if message.type != cdr.POSE_STAMPED:
+            raise BagError(f"{reader.path}: topic {topic}, message {number}: is {message.type}")
+        try:
+            pose = cdr.deserialize(message.data, cdr.POSE_STAMPED)
+        except ValueError as error:
+            raise BagError(f"{reader.path}: topic {topic}, message {number}: {error}") from None
+        p, q, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
+        values = [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+        rows.append(_Row(message.log_time, stamp.sec * 1_000_000_000 + stamp.nanosec, pose.header.frame_id, values))
+    return rows
+
+
+def _good_ones(rows: Sequence[_Row], frame_id: str) -> tuple[list[_Row], list[str]]:
+    """Those to be used, and why the others are not."""
+    reasons = [_refusal(row.frame_id, row.values, frame_id) for row in rows]
+    good = [row for row, reason in zip(rows, reasons, strict=True) if reason is None]
+    return good, [f"message {i}: {reason}" for i, reason in enumerate(reasons, start=1) if reason]
+
+
+def _arrays(rows: Sequence[_Row]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Positions (n, 3) and unit quaternions (n, 4)."""
+    values = np.array([row.values for row in rows]).reshape(-1, 7)
+    return values[:, :3], values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True)
 
 
 def _refusal(frame: str, values: list[float], frame_id: str) -> str | None:
@@ -211,16 +267,9 @@ def _refusal(frame: str, values: list[float], frame_id: str) -> str | None:
 
 def _command_topic(reader: BagReader, topic: str | None) -> str:
     """Name of the topic with the commands."""
-    types = {absolute(t.name): t.type for t in reader.topics}
-    found = ", ".join(f"{name} ({type})" for name, type in types.items()) or "no topic"
     if topic is not None:
-        name = absolute(topic)
-        if name not in types:
-            raise BagError(f"{reader.path}: no topic {name}; found {found}")
-        if types[name] != cdr.POSE_STAMPED:
-            raise BagError(f"{reader.path}: topic {name} is {types[name]}, allowed: {cdr.POSE_STAMPED}")
-        return name
-    poses = [name for name, type in types.items() if type == cdr.POSE_STAMPED]
+        return _named_topic(reader, topic)
+    poses = [name for name in _pose_topics(reader) if not name.endswith("/plane_pose")]
     commands = [name for name in poses if name.endswith("/command_pose")]
     if "/command_pose" in commands:
         return "/command_pose"
@@ -229,6 +278,44 @@ def _command_topic(reader: BagReader, topic: str | None) -> str:
         return candidates[0]
     if not candidates:
         cut = f"; {reader.warning}" if reader.warning else ""
-        raise BagError(f"{reader.path}: no topic of type {cdr.POSE_STAMPED}; found {found}{cut}")
+        raise BagError(f"{reader.path}: no topic of type {cdr.POSE_STAMPED}; found {_found(reader)}{cut}")
     several = ", ".join(candidates)
     raise BagError(f"{reader.path}: several topics of poses: {several}; choose one with --topic")
+
+
+def _plane_topic(reader: BagReader, commands: str, topic: str | None) -> str | None:
+    """Name of the topic with the plane's poses, beside the one with the commands; None if there is none."""
+    if topic is not None:
+        name = _named_topic(reader, topic)
+        if name == commands:
+            raise BagError(f"{reader.path}: topic {name} cannot hold both the commands and the plane's poses")
+        return name
+    counts = {absolute(topic.name): topic.count for topic in reader.topics}
+    candidates = [name for name in _pose_topics(reader) if name.endswith("/plane_pose") and counts[name] > 0]
+    candidates = [name for name in candidates if name != commands]
+    beside = f"{commands.rpartition('/')[0]}/plane_pose"
+    if beside in candidates:
+        return beside
+    if len(candidates) > 1:
+        several = ", ".join(candidates)
+        raise BagError(f"{reader.path}: several topics of the plane's poses: {several}; choose one with --plane-topic")
+    return candidates[0] if candidates else None
+
+
+def _named_topic(reader: BagReader, topic: str) -> str:
+    """The absolute name of a topic of poses that was asked for."""
+    name, types = absolute(topic), {absolute(t.name): t.type for t in reader.topics}
+    if name not in types:
+        raise BagError(f"{reader.path}: no topic {name}; found {_found(reader)}")
+    if types[name] != cdr.POSE_STAMPED:
+        raise BagError(f"{reader.path}: topic {name} is {types[name]}, allowed: {cdr.POSE_STAMPED}")
+    return name
+
+
+def _pose_topics(reader: BagReader) -> list[str]:
+    return [absolute(topic.name) for topic in reader.topics if topic.type == cdr.POSE_STAMPED]
+
+
+def _found(reader: BagReader) -> str:
+    """What topics there are."""
+    return ", ".join(f"{absolute(topic.name)} ({topic.type})" for topic in reader.topics) or "no topic"

@@ -64,7 +64,7 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from .bags import read_commands, require_absent
+    from .bags import BagReader, commands_of, plane_poses_of, require_absent
     from .console import console, gauge, say, table
     from .replay import run
     from .resources import find_bag, find_scene
@@ -74,16 +74,20 @@ def _run(options: argparse.Namespace) -> int:
     scene, bag = Scene.load(options.scene), find_bag(options.bag)
     out = options.out or Path(f"{bag.stem}_{find_scene(options.scene).stem}")
     require_absent(out)
-    read_commands(bag, options.topic)  # a mistake shows before kernels compile
+    reader = BagReader(bag)  # a mistake shows before kernels compile
+    plane_poses_of(reader, commands_of(reader, options.topic), options.plane_topic)
     simulator = Simulator(scene, progress=say)
     with gauge(f"simulating {bag}") as meter:
-        done = run(scene, bag, out, options.topic, meter, simulator=simulator)
+        done = run(scene, bag, out, options.topic, meter, simulator=simulator, plane_topic=options.plane_topic)
     if done.warning:
         say(f"finger_sim: warning: {done.warning}")
+    plane = f"{done.plane_poses} poses on {done.plane_topic}, {done.plane_refused} refused"
+    moved = [("plane", plane)] if done.plane_topic else []
     status = ", ".join(f"{name} in {steps} steps" for name, steps in done.status.items())
     rows = table()
     for row in (
         ("commands", f"{done.commands} on {done.topic}, {done.refused} refused"),
+        *moved,
         ("simulated", f"{done.duration:.3f} s in {done.steps} steps"),
         ("real-time factor", f"{done.real_time_factor:.2f}"),
         ("step time", f"median {1e3 * done.step_median:.3f} ms, p99 {1e3 * done.step_p99:.3f} ms"),
@@ -394,6 +398,7 @@ def _add_run(verbs: Any) -> None:
     add("--bag", required=True, metavar="IN", help="bag of commands")
     add("-o", "--out", type=Path, metavar="OUT", help="bag to make (default: IN_SCENE, here)")
     add("--topic", help="topic of the commands in the bag")
+    add("--plane-topic", help="topic of the plane's poses in the bag (default: plane_pose, if it is there)")
 
 
 def _add_play(verbs: Any) -> None:

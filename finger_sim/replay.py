@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import cdr
-from .bags import BagReader, BagWriter, Message, Qos, commands_of, require_absent
+from .bags import BagReader, BagWriter, Message, PlanePoses, Qos, commands_of, plane_poses_of, require_absent
 from .layout import node_strain, pack_points, place, wrench_frame_id
 from .scene import Pose
 
 if TYPE_CHECKING:
+    from .bags import Commands
     from .scene import Scene
     from .simulator import Simulator, StepResult
 
@@ -45,6 +46,11 @@ class Summary:
     """Commands left out: not finite, a zero quaternion, another frame."""
     warning: str | None
     """What was wrong with the bag of commands, if it was cut off."""
+    plane_topic: str | None = None
+    """Where the plane's poses came from, if there were any."""
+    plane_poses: int = 0
+    plane_refused: int = 0
+    """Poses of the plane left out: as commands are, or all, where the scene has no plane."""
     steps: int = 0
     duration: float = 0.0
     """Simulated time [s]."""
@@ -81,17 +87,20 @@ def run(
     progress: Progress | None = None,
     *,
     simulator: Simulator | None = None,
+    plane_topic: str | None = None,
 ) -> Summary:
     """Simulates the commands of `bag` and writes what the node would publish to the new bag `out`.
 
     The newest command received up to the beginning of a step holds during it; the first one places the finger
-    at rest. The commands are copied as they were read, those that are refused too: replayed, `out` gives itself.
+    at rest. Poses of the plane in the bag move it likewise, from the newest before the first command on. Both are
+    copied as they were read, those that are refused too: replayed, `out` gives itself.
     A bag that the node recorded from its first command on gives the live wrench back but for where steps begin:
     what is live at a time is here within two steps of it. Of one that began later the history is not known.
 
-    topic     : of the commands; see `bags.read_commands`
-    progress  : called after every step
-    simulator : of this scene, instead of a new one
+    topic       : of the commands; see `bags.read_commands`
+    progress    : called after every step
+    simulator   : of this scene, instead of a new one
+    plane_topic : of the plane's poses; see `bags.plane_poses_of`
     Raises BagError for a bag that cannot be read or made, and what Simulator raises; what was simulated by
     then stays readable in `out`.
     """
@@ -100,12 +109,14 @@ def run(
     commands = commands_of(reader, topic)
     frame = commands.frame_id or "world"
     summary = Summary(Path(out), commands.topic, len(commands), commands.refused, commands.warning)
-    poses = [
-        Pose(position=(px, py, pz), orientation=(qx, qy, qz, qw))
-        for (px, py, pz), (qx, qy, qz, qw) in zip(
-            commands.position.tolist(), commands.orientation.tolist(), strict=True
-        )
-    ]
+    poses = _poses(commands)
+    plane = plane_poses_of(reader, commands, plane_topic)
+    places: list[Pose] = []
+    if plane is not None:
+        if scene.plane is not None:
+            places = _poses(plane)
+        summary.plane_topic, summary.plane_poses = plane.topic, len(places)
+        summary.plane_refused = plane.refused + len(plane) - len(places)
     steps = _steps(int(commands.receipt_ns[-1]), scene.dt)
     ends = [_nanoseconds(k + 1, scene.dt) for k in range(steps)]
     if simulator is None:
@@ -114,19 +125,26 @@ def run(
         simulator = Simulator(scene)
     with BagWriter(out) as recording:
         write = _Output(recording, commands.start, frame)
-        copies = _Copies(reader.messages([commands.topic]), recording)
+        copies = [_Copies(reader.messages([commands.topic]), recording, "command_pose")]
+        if plane is not None:
+            copies.append(_Copies(reader.messages([plane.topic]), recording, "plane_pose"))
         write.topology(simulator)
         simulator.reset(poses[0])
-        newest, begin = 0, 0
+        newest, begin, placed = 0, 0, 0
         costs = np.empty(len(ends))
         bits: Counter[str] = Counter()
         for k, end in enumerate(ends):
             while newest + 1 < len(poses) and commands.receipt_ns[newest + 1] <= begin:
                 newest += 1
+            due = placed
+            while plane is not None and due < len(places) and plane.receipt_ns[due] <= begin:
+                due += 1
+            place_now, placed = places[due - 1] if due > placed else None, due
             clock = time.perf_counter()
-            result = simulator.step(poses[newest])
+            result = simulator.step(poses[newest], place_now)
             costs[k] = time.perf_counter() - clock
-            copies.up_to(commands.start + end)
+            for copy in copies:
+                copy.up_to(commands.start + end)
             write.step(result, end)
             if begin * MESH_RATE // 1_000_000_000 < end * MESH_RATE // 1_000_000_000 or k == 0:
                 write.points(simulator, result, end)
@@ -134,12 +152,22 @@ def run(
             begin = end
             if progress is not None:
                 progress(k + 1, len(ends))
-        copies.up_to(None)
+        for copy in copies:
+            copy.up_to(None)
     summary.steps, summary.duration = len(ends), ends[-1] * 1e-9
     summary.wall = float(costs.sum())
     summary.step_median, summary.step_p99 = (float(v) for v in np.percentile(costs, (50, 99)))
     summary.status = dict(bits)
     return summary
+
+
+def _poses(recorded: Commands | PlanePoses) -> list[Pose]:
+    return [
+        Pose(position=(px, py, pz), orientation=(qx, qy, qz, qw))
+        for (px, py, pz), (qx, qy, qz, qw) in zip(
+            recorded.position.tolist(), recorded.orientation.tolist(), strict=True
+        )
+    ]
 
 
 def _steps(last: int, dt: float) -> int:
@@ -167,20 +195,20 @@ def _count(summary: Summary, bits: Counter[str], result: StepResult, end: int) -
 
 
 class _Copies:
-    """Copies the commands into the recording in step with the simulation."""
+    """Copies the poses of one topic to another of the recording in step with the simulation."""
 
-    def __init__(self, messages: Iterator[Message], recording: BagWriter) -> None:
+    def __init__(self, messages: Iterator[Message], recording: BagWriter, topic: str) -> None:
         self.messages = messages
         self.recording = recording
         self.next = next(messages, None)
-        recording.add_topic("command_pose", cdr.POSE_STAMPED)
+        self.topic = recording.add_topic(topic, cdr.POSE_STAMPED)
 
     def up_to(self, log_time: int | None) -> None:
         """Copies what was received until then [ns], or all that is left."""
         while self.next is not None and (log_time is None or self.next.log_time <= log_time):
             message = self.next
             number = message.sequence or None
-            self.recording.write("command_pose", message.data, message.log_time, message.publish_time, sequence=number)
+            self.recording.write(self.topic, message.data, message.log_time, message.publish_time, sequence=number)
             self.next = next(self.messages, None)
 
 

@@ -30,7 +30,16 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from finger_sim import cdr
-from finger_sim.bags import FLUSH_PERIOD, BagReader, BagWriter, Compression, Qos, read_commands
+from finger_sim.bags import (
+    FLUSH_PERIOD,
+    BagReader,
+    BagWriter,
+    Compression,
+    Qos,
+    commands_of,
+    plane_poses_of,
+    read_commands,
+)
 from finger_sim.errors import BagError
 from finger_sim.layout import POINT_DTYPE
 
@@ -504,28 +513,46 @@ const decompressHandlers = {
 """
 
 
-def node_finds_mcap() -> bool:
-    """Whether node is here and finds @mcap/core and what it needs; NODE_PATH may name a folder of modules."""
+MCAP_PACKAGES = (
+    "@mcap/core@2", "@mcap/nodejs@1", "@foxglove/rosmsg@5", "@foxglove/rosmsg2-serialization@3", "fzstd@0", "lz4js@0",
+)  # fmt: skip
+NPM_TIMEOUT = 100
+"""Of an installation [s]."""
+
+
+@pytest.fixture(scope="session")
+def mcap_modules(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """An environment in which node finds MCAP_PACKAGES: this one (NODE_PATH may name a folder), else made by npm."""
     if shutil.which("node") is None:
-        return False
-    names = ("@mcap/core", "@mcap/nodejs", "@foxglove/rosmsg", "@foxglove/rosmsg2-serialization", "fzstd", "lz4js")
-    probe = "".join(f"require.resolve('{name}');" for name in names)
-    return subprocess.run(["node", "-e", probe], capture_output=True).returncode == 0
+        pytest.skip("needs node")
+    probe = "".join(f"require.resolve('{name.rpartition('@')[0]}');" for name in MCAP_PACKAGES)
+    if subprocess.run(["node", "-e", probe], capture_output=True).returncode == 0:
+        return dict(os.environ)
+    if shutil.which("npm") is None:
+        pytest.skip("needs npm, or a NODE_PATH with " + " ".join(MCAP_PACKAGES))
+    folder = tmp_path_factory.mktemp("npm")
+    options = ("--no-audit", "--no-fund", "--ignore-scripts", "--fetch-retries=0", "--prefix", str(folder))
+    command = ["npm", "install", *options, *MCAP_PACKAGES]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=NPM_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        pytest.skip(f"npm reached no registry in {NPM_TIMEOUT} s")
+    if done.returncode != 0:
+        pytest.skip(f"npm could not install: {next(iter(done.stderr.splitlines()), 'no reason given')}")
+    return os.environ | {"NODE_PATH": str(folder / "node_modules")}
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-def test_mcap_core_of_npm_reads_what_was_written(tmp_path: Path, compression: Compression) -> None:
+def test_mcap_core_of_npm_reads_what_was_written(
+    tmp_path: Path, mcap_modules: dict[str, str], compression: Compression
+) -> None:
     """Foxglove's reader, in JavaScript: profile, values and times, decoded with the schema in the file."""
-    if not node_finds_mcap():
-        pytest.skip(
-            "needs node, and NODE_PATH with @mcap/core @mcap/nodejs @foxglove/rosmsg2-serialization fzstd lz4js"
-        )
     with BagWriter(tmp_path / "bag", compression=compression) as bag:
         bag.add_topic("command_pose", cdr.POSE_STAMPED)
         for k in range(600):
             bag.write("command_pose", pose(k), START + k * PERIOD)
     command = ["node", "-e", MCAP_CORE, str(mcap_file(tmp_path / "bag"))]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, text=True, env=mcap_modules)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert (found["profile"], found["count"]) == ("ros2", 600)
@@ -744,6 +771,43 @@ def test_which_topic_commands(tmp_path: Path) -> None:
         writer.add_topic("command_pose", poses)
     with pytest.raises(BagError, match=r"command_pose has no message|no topic of type"):
         read_commands(tmp_path / "silent")
+
+
+def test_which_topic_moves_the_plane(tmp_path: Path) -> None:
+    """plane_pose, beside the commands if it is in several namespaces; it never commands unless asked to."""
+
+    def bag(name: str, *topics: str, silent: tuple[str, ...] = ()) -> BagReader:
+        with BagWriter(tmp_path / name) as writer:
+            for topic in topics:
+                writer.write(writer.add_topic(topic, cdr.POSE_STAMPED), pose(1), START)
+            for topic in silent:
+                writer.add_topic(topic, cdr.POSE_STAMPED)
+        return BagReader(tmp_path / name)
+
+    def chosen(reader: BagReader, topic: str | None = None, plane: str | None = None) -> tuple[str, str | None]:
+        commands = commands_of(reader, topic)
+        poses = plane_poses_of(reader, commands, plane)
+        return commands.topic, poses.topic if poses is not None else None
+
+    live = bag("live", "pose", "command_pose", "plane_pose")
+    assert chosen(live) == ("/command_pose", "/plane_pose")
+    assert chosen(live, "pose", "command_pose") == ("/pose", "/command_pose")
+    assert chosen(bag("unmoved", "pose", "command_pose", silent=("plane_pose",))) == ("/command_pose", None)
+    assert chosen(bag("remapped", "device/pose", "plane_pose")) == ("/device/pose", "/plane_pose")
+    two = bag("two", "left/plane_pose", "left/command_pose", "right/plane_pose")
+    assert chosen(two) == ("/left/command_pose", "/left/plane_pose")
+    with pytest.raises(BagError, match=r"several topics of poses: /device/pose, /pose; choose one with --topic"):
+        chosen(bag("several", "device/pose", "plane_pose", "pose"))
+    with pytest.raises(BagError, match=r"/left/plane_pose, /right/plane_pose; choose one with --plane-topic"):
+        chosen(bag("apart", "command_pose", "left/plane_pose", "right/plane_pose"))
+    with pytest.raises(BagError, match=r"/command_pose cannot hold both"):
+        chosen(live, None, "command_pose")
+    with pytest.raises(BagError, match=r"no topic /table; found /pose"):
+        chosen(live, None, "table")
+    alone = bag("alone", "plane_pose")
+    with pytest.raises(BagError, match=r"no topic of type .*PoseStamped; found /plane_pose"):
+        chosen(alone)
+    assert chosen(alone, "plane_pose") == ("/plane_pose", None)
 
 
 def test_commands_keep_what_hands_and_robots_do(tmp_path: Path) -> None:

@@ -116,6 +116,7 @@ def test_wrong_arguments_are_named(capsys, arguments, says):
         (["run", "commands", "--bag", "commands"], "commands"),
         (["run", "block.yaml", "--bag", "block.yaml"], "not an MCAP file"),
         (["run", "block.yaml", "--bag", "commands", "--topic", "pose"], "found /command_pose"),
+        (["run", "block.yaml", "--bag", "commands", "--plane-topic", "table"], "no topic /table; found /command_pose"),
         (["run", "block.yaml", "--bag", "commands", "-o", "commands"], "exists already"),
         (["play", "nowhere"], "nowhere"),
         (["play", "commands", "--topic", "pose"], "found /command_pose"),

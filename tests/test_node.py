@@ -298,6 +298,7 @@ def test_reset_says_the_pose(client):
 def test_recordings_on_and_off_twice(client):
     """Two files, both readable by an independent reader, with all topics and without a gap."""
     paths = []
+    planes = client.node.create_publisher(PoseStamped, "plane_pose", 10)
     for _ in range(2):
         answer = client.call(SetBool, "/finger/record", SetBool.Request(data=True))
         assert answer.success, answer.message
@@ -305,7 +306,7 @@ def test_recordings_on_and_off_twice(client):
         again = client.call(SetBool, "/finger/record", SetBool.Request(data=True))
         assert not again.success
         assert str(paths[-1]) in again.message
-        _, values = client.report(lambda: client.command(-0.0003))
+        _, values = client.report(lambda: (client.command(-0.0003), planes.publish(command(0.0))))
         assert values["recording"] == str(paths[-1])
         answer = client.call(SetBool, "/finger/record", SetBool.Request(data=False))
         assert answer.success, answer.message

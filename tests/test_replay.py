@@ -44,6 +44,7 @@ class FakeSimulator:
 
     def __init__(self) -> None:
         self.commands: list[Pose] = []
+        self.planes: list[Pose | None] = []
         self.resets: list[Pose] = []
         tets = np.array([[0, 1, 2, 3]])
         self.mesh = SimpleNamespace(points=np.vstack([np.zeros(3), np.eye(3)]), tets=tets, surface=tets[:, :3])
@@ -53,8 +54,9 @@ class FakeSimulator:
     def reset(self, pose: Pose) -> None:
         self.resets.append(pose)
 
-    def step(self, pose: Pose) -> Any:
+    def step(self, pose: Pose, plane: Pose | None = None) -> Any:
         self.commands.append(pose)
+        self.planes.append(plane)
         self.positions = place(self.mesh.points, pose) + np.array([0.0, 0.0, 0.5])
         k = len(self.commands)
         return SimpleNamespace(
@@ -69,7 +71,7 @@ class FakeSimulator:
 
 
 def scene(dt: float) -> Any:
-    return SimpleNamespace(dt=dt)
+    return SimpleNamespace(dt=dt, plane=None)
 
 
 def commands(path: Path, receipts: list[int]) -> Path:
@@ -174,6 +176,71 @@ def test_commands_are_copied_as_read(tmp_path: Path) -> None:
     )
     assert [m[2:] for m in after] == [m[2:] for m in before]
     assert read_commands(tmp_path / "out").topic == "/command_pose"
+
+
+def plane_poses(path: Path, receipts: list[int], bad: tuple[int, ...] = ()) -> Path:
+    """Commands every 2 ms for 20 ms, and poses of the plane received so many ns after START; x counts them from 1.
+
+    bad : numbers of those in another frame
+    """
+    with BagWriter(path) as bag:
+        bag.add_topic("command_pose", cdr.POSE_STAMPED)
+        bag.add_topic("plane_pose", cdr.POSE_STAMPED)
+        level = (0.0, 0.0, 0.0, 1.0)
+        for k in range(11):
+            bag.write("command_pose", cdr.pose_stamped(k, "world", (k, 0.0, 0.0), level), START + k * 2_000_000)
+        for k, receipt in enumerate(receipts, start=1):
+            frame = "map" if k in bad else "world"
+            bag.write("plane_pose", cdr.pose_stamped(k, frame, (k, 0.0, 0.0), level), START + receipt)
+    return path
+
+
+def test_the_plane_goes_where_it_was_told(tmp_path: Path) -> None:
+    """A pose of the plane counts once, in the first step that begins after its receipt, the newest of several.
+
+    The newest before the first command is in the first step; one in another frame is left out, but copied.
+    """
+    ms = 1_000_000
+    bag = plane_poses(tmp_path / "in", [-50 * ms, -1, 1, 3 * ms, 3 * ms + 5, 3 * ms + 7, 20 * ms, 90 * ms], bad=(6,))
+    fake = FakeSimulator()
+    with_plane = SimpleNamespace(dt=1e-3, plane=object())
+    summary = replay.run(with_plane, bag, tmp_path / "out", simulator=fake)  # type: ignore[arg-type]
+    told = {k: plane.position[0] for k, plane in enumerate(fake.planes) if plane is not None}
+    assert told == {0: 2, 1: 3, 3: 4, 4: 5, 20: 7}
+    assert (summary.steps, summary.plane_topic) == (21, "/plane_pose")
+    assert (summary.plane_poses, summary.plane_refused) == (7, 1)
+    for topic in ("plane_pose", "command_pose"):
+        before, after = (list(BagReader(tmp_path / name).messages([topic])) for name in ("in", "out"))
+        assert before == after
+
+
+def test_a_scene_without_a_plane_has_none_to_move(tmp_path: Path) -> None:
+    """As the node does, it refuses all poses of the plane and goes on."""
+    bag, fake = plane_poses(tmp_path / "in", [0, 5_000_000]), FakeSimulator()
+    summary = replay.run(scene(1e-3), bag, tmp_path / "out", simulator=fake)  # type: ignore[arg-type]
+    assert fake.planes == [None] * 21
+    assert (summary.plane_poses, summary.plane_refused) == (0, 2)
+
+
+def test_a_plane_that_moves_is_replayed_bit_by_bit(tmp_path: Path) -> None:
+    """A table drawn away from the block ends the touch; the output, replayed, gives itself."""
+    bag, still = tmp_path / "in", press(tmp_path / "still")
+    with BagWriter(bag) as both:
+        for message in BagReader(still):
+            both.write(both.add_topic(message.topic, message.type), message.data, message.log_time)
+        both.add_topic("plane_pose", cdr.POSE_STAMPED)
+        for k in range(100):
+            at = (0.0, 0.0, -2e-5 * max(0, k - 4))
+            data = cdr.pose_stamped(0, "world", at, (0.0, 0.0, 0.0, 1.0))
+            both.write("plane_pose", data, START + 4_000_000 * k)
+    beam = Scene.from_dict(BEAM)
+    moved = replay.run(beam, bag, tmp_path / "a" / "out")
+    again = replay.run(beam, tmp_path / "a" / "out", tmp_path / "b" / "out")
+    assert (moved.plane_poses, again.plane_poses) == (100, 100)
+    assert len({(tmp_path / name / "out" / "out_0.mcap").read_bytes() for name in "ab"}) == 1
+    rest = replay.run(beam, still, tmp_path / "c" / "out")
+    assert rest.plane_topic is None
+    assert rest.peak_force > 2.0 * moved.peak_force > 0.0
 
 
 def test_cut_off_commands_are_used_and_told(tmp_path: Path) -> None:
