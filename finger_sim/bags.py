@@ -6,6 +6,7 @@ it. Times are integer nanoseconds: `log_time` is when a message was received, `p
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -251,7 +252,8 @@ def _good_ones(rows: Sequence[_Row], frame_id: str) -> tuple[list[_Row], list[st
 def _arrays(rows: Sequence[_Row]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions (n, 3) and unit quaternions (n, 4)."""
     values = np.array([row.values for row in rows]).reshape(-1, 7)
-    return values[:, :3], values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True)
+    norms = np.array([math.hypot(*row.values[3:]) for row in rows]).reshape(-1, 1)  # to the last bit as the node's
+    return values[:, :3], values[:, 3:] / norms
 
 
 def _refusal(frame: str, values: list[float], frame_id: str) -> str | None:

@@ -78,7 +78,8 @@ def _run(options: argparse.Namespace) -> int:
     plane_poses_of(reader, commands_of(reader, options.topic), options.plane_topic)
     simulator = Simulator(scene, progress=say)
     with gauge(f"simulating {bag}") as meter:
-        done = run(scene, bag, out, options.topic, meter, simulator=simulator, plane_topic=options.plane_topic)
+        plane, mode = options.plane_topic, options.mode
+        done = run(scene, bag, out, options.topic, meter, simulator=simulator, plane_topic=plane, mode=mode)
     if done.warning:
         say(f"finger_sim: warning: {done.warning}")
     plane = f"{done.plane_poses} poses on {done.plane_topic}, {done.plane_refused} refused"
@@ -398,6 +399,7 @@ def _add_run(verbs: Any) -> None:
     add("--bag", required=True, metavar="IN", help="bag of commands")
     add("-o", "--out", type=Path, metavar="OUT", help="bag to make (default: IN_SCENE, here)")
     add("--topic", help="topic of the commands in the bag")
+    add("--mode", choices=("free", "triggered"), default="free", help="triggered: one step for each command")
     add("--plane-topic", help="topic of the plane's poses in the bag (default: plane_pose, if it is there)")
 
 

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -88,6 +88,7 @@ def run(
     *,
     simulator: Simulator | None = None,
     plane_topic: str | None = None,
+    mode: Literal["free", "triggered"] = "free",
 ) -> Summary:
     """Simulates the commands of `bag` and writes what the node would publish to the new bag `out`.
 
@@ -96,11 +97,14 @@ def run(
     copied as they were read, those that are refused too: replayed, `out` gives itself.
     A bag that the node recorded from its first command on gives the live wrench back but for where steps begin:
     what is live at a time is here within two steps of it. Of one that began later the history is not known.
+    In mode triggered, as the node's, there is one step for each command, stamped with its receipt: what the node
+    recorded in that mode from its first command on comes back bit by bit (but for when a moving plane's poses came).
 
     topic       : of the commands; see `bags.read_commands`
     progress    : called after every step
     simulator   : of this scene, instead of a new one
     plane_topic : of the plane's poses; see `bags.plane_poses_of`
+    mode        : free or triggered
     Raises BagError for a bag that cannot be read or made, and what Simulator raises; what was simulated by
     then stays readable in `out`.
     """
@@ -117,8 +121,13 @@ def run(
             places = _poses(plane)
         summary.plane_topic, summary.plane_poses = plane.topic, len(places)
         summary.plane_refused = plane.refused + len(plane) - len(places)
-    steps = _steps(int(commands.receipt_ns[-1]), scene.dt)
-    ends = [_nanoseconds(k + 1, scene.dt) for k in range(steps)]
+    if mode == "free":
+        ends = [_nanoseconds(k + 1, scene.dt) for k in range(_steps(int(commands.receipt_ns[-1]), scene.dt))]
+        begins = [0, *ends[:-1]]
+        followed = [poses[i] for i in np.searchsorted(commands.receipt_ns, begins, side="right") - 1]
+    else:
+        ends = begins = commands.receipt_ns.tolist()
+        followed = poses
     if simulator is None:
         from .simulator import Simulator
 
@@ -130,31 +139,29 @@ def run(
             copies.append(_Copies(reader.messages([plane.topic]), recording, "plane_pose"))
         write.topology(simulator)
         simulator.reset(poses[0])
-        newest, begin, placed = 0, 0, 0
+        before = placed = 0
         costs = np.empty(len(ends))
         bits: Counter[str] = Counter()
-        for k, end in enumerate(ends):
-            while newest + 1 < len(poses) and commands.receipt_ns[newest + 1] <= begin:
-                newest += 1
+        for k, (begin, end, pose) in enumerate(zip(begins, ends, followed, strict=True)):
             due = placed
             while plane is not None and due < len(places) and plane.receipt_ns[due] <= begin:
                 due += 1
             place_now, placed = places[due - 1] if due > placed else None, due
             clock = time.perf_counter()
-            result = simulator.step(poses[newest], place_now)
+            result = simulator.step(pose, place_now)
             costs[k] = time.perf_counter() - clock
             for copy in copies:
                 copy.up_to(commands.start + end)
             write.step(result, end)
-            if begin * MESH_RATE // 1_000_000_000 < end * MESH_RATE // 1_000_000_000 or k == 0:
+            if before * MESH_RATE // 1_000_000_000 < end * MESH_RATE // 1_000_000_000 or k == 0:
                 write.points(simulator, result, end)
             _count(summary, bits, result, end)
-            begin = end
+            before = end
             if progress is not None:
                 progress(k + 1, len(ends))
         for copy in copies:
             copy.up_to(None)
-    summary.steps, summary.duration = len(ends), ends[-1] * 1e-9
+    summary.steps, summary.duration = len(ends), _nanoseconds(len(ends), scene.dt) * 1e-9
     summary.wall = float(costs.sum())
     summary.step_median, summary.step_p99 = (float(v) for v in np.percentile(costs, (50, 99)))
     summary.status = dict(bits)

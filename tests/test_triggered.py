@@ -11,6 +11,9 @@ from ros_helpers import Client, NodeProcess, command, write_block
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from finger_sim import Scene, replay
+from finger_sim.bags import BagReader
+
 
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
@@ -127,6 +130,32 @@ def test_the_same_commands_give_the_same_bits(client):
         runs.append([(w.wrench.force.x, w.wrench.force.z, w.wrench.torque.y) for w in wrenches])
     assert max(fz for _, fz, _ in runs[0]) > 0.5
     assert runs[0] == runs[1]
+
+
+def test_a_recording_replays_to_the_last_bit(tmp_path):
+    """Presses and slides at any pace, live; `run` in mode triggered computes the same wrenches from the recording."""
+    bag, scene = tmp_path / "bag", write_block(tmp_path)
+    arguments = ("-p", f"scene:={scene}", "-p", "mode:=triggered", "-p", f"record:={bag}")
+    with NodeProcess(tmp_path / "log", *arguments) as node, Client(node.domain) as client:
+        node.wait_for("ready after")
+        poses = client.collect(PoseStamped, "pose")
+        client.until(lambda: client.node.count_publishers("pose"))
+        for k in range(100):
+            message = numbered(k, press(k))
+            message.pose.position.x = 1e-4 * k
+            q = message.pose.orientation
+            q.x, q.y, q.z, q.w = 0.1 * math.sin(0.1 * k), 0.02, -0.07, 1.7
+            client.publish(message)
+            client.until(lambda k=k: k % 3 or k in numbers(poses))
+        client.until(lambda: 99 in numbers(poses))
+        assert node.end() == 0
+    summary = replay.run(Scene.load(str(scene)), bag, tmp_path / "again", mode="triggered")
+    assert summary.steps == 100
+    live, again = (
+        [m.data[-48:] for m in BagReader(path).messages(["/contact_wrench"])] for path in (bag, tmp_path / "again")
+    )
+    assert len(set(live)) > 50
+    assert live == again
 
 
 def test_an_overridden_quality_hears_best_effort_senders(tmp_path):
