@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from .arrays import Floats
+from .layout import place
 from .rotations import angle, rotation_vector, slerp
 from .scene import Coupling, Pose, Vec3
 
@@ -44,6 +45,18 @@ def stop_at_plane(normal: Vec3, point: Vec3, centre: Vec3, start: Pose, end: Pos
     if after >= before:
         return end, False
     return between(start, end, before / (before - after) if before > 0.0 else 0.0), True
+
+
+def set_down(normal: Vec3, point: Vec3, centre: Vec3, points: Floats, pose: Pose) -> Pose:
+    """`pose`, or where the bone's centre is past the plane there: the one right above it whose body touches the plane.
+
+    For a bone that yields: contact would throw it out at its depth over dt. points: (n, 3) of the body, as read [m].
+    """
+    if _height(normal, point, centre, pose) >= 0.0:
+        return pose
+    lowest = float((place(points, pose) @ np.array(normal)).min() - np.dot(normal, point))
+    x, y, z = (c - lowest * n for c, n in zip(pose.position, normal, strict=True))
+    return Pose((x, y, z), pose.orientation)
 
 
 def _height(normal: Vec3, point: Vec3, centre: Vec3, pose: Pose) -> float:

@@ -7,8 +7,9 @@ one that was held during that motion: a loop delay older than the motion that is
 A passive simulation gives back at most what it got: E ≤ 0 from a start in free air. What is above leaked.
 
 The controller scales the wrench to nothing as the leak, and what wrenches in flight would do to a mass moving on,
-use up an allowance, and dissipates the leak with a damper as Hannaford and Ryu (2002) do. Whatever device and hand do,
-E at the device, less what was forgiven at rest, stays below
+use up an allowance, but for what only brakes the device, and dissipates the leak with a damper as Hannaford and Ryu
+(2002) do. A leak is forgiven at rest; in motion only what is above LET_GO allowances, at an allowance in LETTING.
+Whatever device and hand do, E at the device, less what was forgiven, stays below
 
     LET_GO · allowance + force_limit · s + torque_limit · θ
 
@@ -32,6 +33,10 @@ QUIET, QUIET_TIME = 5e-3, 0.02
 """Speed of a device at rest [m/s], and time beyond a loop delay without any faster [s] until a leak is forgiven."""
 FORGIVING = 0.5
 """Time in which the leak, or an allowance if that is more, is forgiven at rest [s]."""
+LETTING = 0.1
+"""Time in which an allowance is forgiven of a leak from which nothing is sent [s]: in motion nothing else ends that."""
+BRAKED = 0.25
+"""Share of the device's momentum against a wrench that the wrench may take before the next is there."""
 FORGETTING = 0.5
 """Time constant with which energy received is forgotten where no elastic body can hold it [s]."""
 DAMPED = math.exp(-1.0)
@@ -63,7 +68,7 @@ class Port:
     leak       : energy that a passive simulation would not have given; negative: what it may still give back [J]
     leaked     : largest leak since the reset [J]
     dissipated : by the damper since the reset; negative: the damper gave [J]
-    forgiven   : of the leak, while the device was at rest [J]
+    forgiven   : of the leak, at rest and where nothing was sent [J]
     factor     : by which the last wrench was scaled, 0 to 1
     damping    : of the damper in the last wrench [N s/m]
     """
@@ -143,6 +148,10 @@ class Port:
                 forgiven = min(self.leak, max(self.leak, self.allowance) * share)
                 self.leak -= forgiven
                 self.forgiven += forgiven
+            elif self.controlled and self.leak > LET_GO * self.allowance:
+                forgiven = min(self.leak - LET_GO * self.allowance, self.allowance * self.period / LETTING)
+                self.leak -= forgiven
+                self.forgiven += forgiven
         elif self._now - self._pushed > lag + self._interval + 1.0:
             self.leak, self._away = 0.0, NONE
         elif self.leak < (held := min(0.0, _dot(wrench, self._away))):
@@ -156,13 +165,15 @@ class Port:
         ahead = (u * u + v * v + w * w) / self.mass + (x * x + y * y + z * z) / inertia
         ahead = 0.5 * ahead * self.period**2 + self.period * _dot((u, v, w, x, y, z), velocity)
         g = self.factor = min(1.0, max(0.0, 1.0 - (leak + max(ahead, 0.0)) / allowance))
+        wait = delay + 1.5 * self._interval * self.period
+        if g < 1.0 and leak < 1.001 * LET_GO * allowance:
+            g = self.factor = max(g, self._resisted(wrench, wait))
         part = min(1.0, leak / allowance, LET_GO - leak / allowance)
         if part <= 0.0:
             self.damping = 0.0
             if g == 1.0:
                 return wrench, NONE
         else:
-            wait = delay + 1.5 * self._interval * self.period
             self.damping = part * min(self.max_damping, DAMPED * self.mass / wait)
         b, r = -self.damping, -self.damping * self.lever**2
         a, c, d, e, f, h = velocity
@@ -173,6 +184,13 @@ class Port:
         p = self.force_limit / force if force > self.force_limit else 1.0
         q = self.torque_limit / torque if torque > self.torque_limit else 1.0
         return (p * u, p * v, p * w, q * x, q * y, q * z), (p * a, p * c, p * d, q * e, q * f, q * h)
+
+    def _resisted(self, wrench: Vec6, wait: float) -> float:
+        """Part of a wrench that cannot turn the device round before the next: so long as it only brakes, it takes."""
+        u, v, w, x, y, z = wrench
+        braked = -_dot(wrench, self._velocity)
+        turned = (u * u + v * v + w * w) / self.mass + (x * x + y * y + z * z) / (self.mass * self.lever**2)
+        return min(1.0, BRAKED * braked / (turned * wait)) if braked > 0.0 else 0.0
 
 
 class _Sums:

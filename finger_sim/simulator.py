@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .arrays import Floats
-from .coupling import CommandSpeed, between, device_wrench, follow, spring_wrench, stop_at_plane
+from .coupling import CommandSpeed, between, device_wrench, follow, set_down, spring_wrench, stop_at_plane
 from .errors import SceneError
 from .fields import specs
 from .layout import place
@@ -102,6 +102,7 @@ class Simulator:
         self._torn = TORN * float(np.linalg.norm(self.mesh.points, axis=1).max())
         self._raging = RAGING * self._model.length
         self._rejections = 0
+        self._was_set_down = False
         self._asleep: StepResult | None = None
         self._still_since = self._raging_since = self._steps = 0
         self._timed = timed
@@ -136,6 +137,7 @@ class Simulator:
         shifts = self._motion.step(plane, scene.coupling, scene.dt)
         if shifts:
             self._plane = self._motion.surface()
+            self._set_down()
         start, limited = self._target if self._yields else self.pose, False
         end = start
         if self._driven:
@@ -151,6 +153,9 @@ class Simulator:
             moves |= bool(state.target[7:13].any())
         h = scene.dt / scene.substeps
         status, iterations, residual = int(Status.COMMAND_LIMITED) if limited else 0, 0, 0.0
+        if self._was_set_down:
+            status |= _RESTORED
+            self._was_set_down = False
         for substep in range(1, scene.substeps + 1):
             before, after = self.pose, between(start, end, substep / scene.substeps)
             if shifts:
@@ -216,14 +221,15 @@ class Simulator:
         return out
 
     def reset(self, pose: Pose | None = None) -> None:
-        """Back to rest at `pose` (default: the last command), at time 0."""
+        """Back to rest at `pose` (default: the last command), at time 0; a bone that yields not past the plane."""
         if pose is not None:
             self._command = _checked(pose)
         self.pose = self._target = self._command
         self._speed = CommandSpeed()
         self._steps = 0
-        positions = place(self.mesh.points, self.pose)
-        self.set_state(positions, np.zeros_like(positions))
+        self._restore()
+        self._set_down()
+        self._was_set_down = False
         self._state.laps[:] = 0.0
         self._state.work[:] = 0
 
@@ -265,6 +271,7 @@ class Simulator:
         after = self.scene.plane
         if before and after and (before.point, before.normal) != (after.point, after.normal):
             self._plane, self._motion = _plane_of(self.scene), PlaneMotion()
+            self._set_down()
         self._use(self.scene)
 
     def solve_with(self, solver: Solver) -> None:
@@ -373,6 +380,15 @@ class Simulator:
         self._rejections = 0
         positions = place(self.mesh.points, self.pose)
         self.set_state(positions, np.zeros_like(positions))
+
+    def _set_down(self) -> None:
+        """A bone that yields and finds itself past the plane goes to rest on it; the next step's status says so."""
+        if self._yields and self._plane is not None:
+            there = set_down(*self._plane, self._centre, self.mesh.points, self.pose)
+            if there is not self.pose:
+                self.pose = there
+                self._restore()
+                self._was_set_down = True
 
     def _rigid_velocity(self, velocities: Floats) -> Floats:
         """(6,) velocity [m/s] of the finger frame's origin and angular velocity [rad/s], from those of all nodes."""

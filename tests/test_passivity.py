@@ -579,3 +579,20 @@ def test_the_finger_itself_without_a_delay() -> None:
     assert port.leaked < 1e-5
     assert run.sent[:, 2].max() > 5.0
     assert_allclose(run.sent, run.given, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.004])
+@pytest.mark.parametrize(("leak", "depth"), [(2.0, 0.01), (6.5, 0.2)])
+def test_after_a_leak_a_handle_that_is_pushed_is_stopped(leak: float, depth: float, delay: float) -> None:
+    """A steady push never lets it rest: let go for good it would fall through the wall at 0.7 m/s.
+
+    Above LET_GO allowances nothing is sent for the quarter of a second in which that is forgiven.
+    """
+    device = Device(mass=0.2, damping=3.0, push=(0.0, 0.0, -2.0, 0.0, 0.0, 0.0))
+    port = controlled()
+    port.leak = leak * ALLOWANCE
+    run = loop(wall(1000.0, 3.0), port, device, delays=halves(delay), seconds=6.0)
+    assert kept(run)
+    assert run.pose[:, 2].min() > -depth
+    assert run.pose[-1, 2] > run.pose[:, 2].min()
+    assert run.sent[-200:, 2].mean() == pytest.approx(2.0, rel=0.1)

@@ -170,6 +170,46 @@ def test_any_stiffness_at_any_step_comes_to_rest(stiffness: float, dt: float) ->
     assert np.linalg.norm(out.device_wrench[:3]) <= 10.0 + 1e-9
 
 
+def steady(sim: Simulator, command: Pose) -> tuple[StepResult, float, float]:
+    """The last of 300 steps, the highest the bone came to [m], and the fastest that any node was [m/s]."""
+    top = speed = 0.0
+    for _ in range(300):
+        out = sim.step(command)
+        top, speed = max(top, out.pose.position[2]), max(speed, float(np.abs(sim.velocities).max()))
+    return out, top, speed
+
+
+@pytest.mark.parametrize("depth", [1e-4, 0.1, 1.5])
+def test_a_finger_placed_past_the_plane_is_on_it(depth: float) -> None:
+    """A first command deep in the table, as of a device that fell while nobody listened: the bone is not thrown out."""
+    sim, command = Simulator(coupled()), pose((0.0, 0.0, -0.002 - depth), LAID)
+    sim.reset(command)
+    out, top, speed = steady(sim, command)
+    assert top < 0.008
+    assert speed < 5.0
+    assert 1.0 < out.device_wrench[2] <= 10.0 + 1e-9
+    assert out.contact_wrench[2] == pytest.approx(out.device_wrench[2], rel=0.05)
+
+
+@pytest.mark.parametrize("moves", ["parameter", "topic"])
+def test_a_plane_put_above_the_finger_has_it_on_top(moves: str) -> None:
+    """The step says that the body was put elsewhere, once; what it feels is a press."""
+    sim, command = Simulator(coupled()), pose((0.0, 0.0, CLEAR), LAID)
+    sim.reset(command)
+    sim.step(command)
+    if moves == "parameter":
+        sim.apply({"plane.point": [0.0, 0.0, 0.5]})
+        first = sim.step(command)
+    else:
+        first = sim.step(command, pose((0.0, 0.0, 0.5)))
+    assert first.status & Status.RESTORED
+    out, top, speed = steady(sim, command)
+    assert not out.status & Status.RESTORED
+    assert 0.5 < out.pose.position[2] <= top < 0.508
+    assert speed < 5.0
+    assert 1.0 < out.device_wrench[2] <= 10.0 + 1e-9
+
+
 @pytest.mark.parametrize("limit", [0.0, 2.0, 1e3])
 def test_the_coupling_pulls_no_harder_than_its_limits(limit: float) -> None:
     """However deep the command: 5 cm under the table. The bone stays above it."""
