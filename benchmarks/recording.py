@@ -108,6 +108,7 @@ class Bench:
         self.request = SetBool.Request
         self.publisher = self.node.create_publisher(PoseStamped, "command_pose", 10)
         self.poses = forth_and_back(commands)
+        self.motion = itertools.cycle(self.poses)
         self.stop = threading.Event()
         self.thread = threading.Thread(target=self._command, args=(commands.frame_id,))
 
@@ -129,6 +130,7 @@ class Bench:
         """So long with or without a recording."""
         if on:
             self._ask(True)
+        self.motion = itertools.cycle(self.poses)  # each slice sees the same of it
         first = len(self.reports)
         end = time.monotonic() + seconds
         self._spin(lambda: len(self.reports) >= first + 2)  # of the first second; from there on
@@ -167,8 +169,8 @@ class Bench:
         from finger_sim.ros.loop import RateLoop
         from finger_sim.ros.messages import doubles, pose_template
 
-        template, poses = pose_template(frame_id), itertools.cycle(self.poses)
-        send = lambda: self.publisher.publish(template.fill(time.time_ns(), doubles(next(poses))))  # noqa: E731
+        template = pose_template(frame_id)
+        send = lambda: self.publisher.publish(template.fill(time.time_ns(), doubles(next(self.motion))))  # noqa: E731
         loop = RateLoop(1.0 / RATE, lambda: None, send)
         loop.start()
         self.stop.wait()
@@ -184,13 +186,15 @@ def forth_and_back(commands: Commands) -> np.ndarray:
 
 
 def report(slices: list[Slice]) -> None:
-    """Medians with and without, their difference, and what the bags hold."""
+    """Medians with and without and of the differences between neighbours, and what the bags hold."""
     off, on = ([s for s in slices if bool(s.bag) is which] for which in (False, True))
     print()
     for name in ("late", "median", "p99", "node", "writer"):
-        without, with_ = (float(np.median([getattr(s, name) for s in some])) for some in (off, on))
+        without, with_ = (np.array([getattr(s, name) for s in some]) for some in (off, on))
+        change = np.median(with_ - without[: len(with_)])
         unit = {"late": "% late steps", "median": "ms a step, p50", "p99": "ms a step, p99"}.get(name, f"cores, {name}")
-        print(f"{unit:>20}: {without:.3f} without, {with_:.3f} with a recording, {with_ - without:+.3f}")
+        print(f"{unit:>20}: {np.median(without):.3f} without, {np.median(with_):.3f} with a recording; ", end="")
+        print(f"{change:+.3f} from a slice to the next")
     lost = counted = 0
     for s in on:
         reader = BagReader(s.bag)

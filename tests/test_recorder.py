@@ -19,7 +19,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from ros_helpers import Client, NodeProcess, bag_process, write_block
+from ros_helpers import Client, NodeProcess, bag_process, command, write_block
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
@@ -171,7 +171,8 @@ def test_a_full_disk_ends_the_recording_with_its_reason(disk):
     (file,) = disk.path.iterdir()
     empty, pid = file.stat().st_size, disk.pid
     put = lambda: recorder.put("/a", WRENCH, time.monotonic_ns())  # noqa: E731
-    until(lambda: file.stat().st_size > empty, put)
+    put()
+    until(lambda: file.stat().st_size > empty)  # though no other message comes
     with disk.full():
         until(lambda: recorder.check() or recorder.error, put)
     assert disk.told == [f"recording stopped: {recorder.error}"]
@@ -183,8 +184,10 @@ def test_a_full_disk_ends_the_recording_with_its_reason(disk):
     numbers = sequences(disk.path)["/a"]
     assert numbers == list(range(1, len(numbers) + 1))
     other = Recorder(disk.path.with_name("other"), TOPICS, 10, disk.standby.pipe())
+    assert other.put("/b", WRENCH, 1000)
     other.close()
-    assert other.error is None
+    assert (other.error, other.written) == (None, 1)
+    assert sequences(disk.path.with_name("other")) == {"/b": [1]}
     assert disk.pid == pid
 
 
@@ -198,7 +201,9 @@ class Odd(bag_process.BagWriter):
         print("noise from a library", flush=True)
 
     def write(self, *arguments, **options):
-        raise RuntimeError("out of luck")
+        if sum(self.counts.values()) == 2:
+            raise RuntimeError("out of luck")
+        super().write(*arguments, **options)
 
 bag_process.BagWriter = Odd
 sys.exit(bag_process.main())
@@ -207,11 +212,14 @@ sys.exit(bag_process.main())
 
 
 def test_any_failure_ends_the_recording_and_is_told(tmp_path):
-    """The process does not die in silence with its queue filling up; the file is closed."""
+    """The process does not die in silence with its queue filling up; the file is closed, with what was written."""
     disk = Disk(tmp_path, (sys.executable, "-c", ODD))
     recorder = disk.record()
-    recorder.put("/a", WRENCH, 1000)
+    for i in range(5):
+        recorder.put("/a", WRENCH, 1000 + i)
     recorder.close()
+    assert recorder.written == 2
+    assert sequences(disk.path) == {"/a": [1, 2]}
     assert disk.told == [f"recording stopped: {recorder.error}"]
     assert "out of luck" in disk.told[0]
     assert str(disk.path) in disk.told[0]
@@ -397,6 +405,31 @@ def test_a_live_recording_replayed_gives_the_live_wrench(tmp_path):
     replay.run(Scene.load(str(scene)), tmp_path / "again", tmp_path / "third" / "again")
     one, other = (next(path.glob("*.mcap")).read_bytes() for path in (tmp_path / "again", tmp_path / "third" / "again"))
     assert one == other
+
+
+def test_a_plane_that_sank_live_sinks_in_the_replay(tmp_path):
+    """A block held against a plane loses it at the same time, within a few steps, and not before."""
+    bag, scene = tmp_path / "bag", write_block(tmp_path)
+    with NodeProcess(tmp_path / "log", "-p", f"scene:={scene}", "-p", f"record:={bag}") as node:
+        node.wait_for("ready after")
+        with Client(node.domain) as client:
+            wrenches = client.collect(WrenchStamped, "contact_wrench")
+
+            def hold(plane):
+                client.command(-0.0003)
+                client.publish(command(plane), "plane_pose")
+
+            pressed = lambda: sum(wrench.wrench.force.z > 0.5 for wrench in wrenches) > 100  # noqa: E731
+            client.until(pressed, lambda: hold(0.0))
+            client.until(lambda: wrenches[-1].wrench.force.z == 0.0, lambda: hold(-0.01))
+        assert node.end() == 0
+    summary = replay.run(Scene.load(str(scene)), bag, tmp_path / "again")
+    assert summary.plane_poses > 10
+    (time_live, live), (time_again, again) = forces(bag), forces(tmp_path / "again")
+    last_live, last_again = (times[f[:, 2] > 0.5][-1] for times, f in ((time_live, live), (time_again, again)))
+    assert last_again == pytest.approx(last_live, abs=0.03)
+    np.testing.assert_allclose(live[:, 2].max(), again[:, 2].max(), rtol=0.02)
+    assert again[-1, 2] == 0.0
 
 
 def test_a_killed_node_loses_at_most_a_second(tmp_path):
