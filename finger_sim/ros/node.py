@@ -47,6 +47,10 @@ REPORT_PERIOD = 1.0
 WAITING_COMMANDS = 100
 """Commands that may wait for their steps in mode triggered; of more the oldest are dropped and counted."""
 
+TRANSPORTS = "UDPv4"
+"""Of Fast DDS, where the environment names none: through shared memory a publisher, and a step with it, waits for a
+listening process that was paused; on one machine UDP is no slower."""
+
 SWITCH_INTERVAL = 5e-5
 """How long another thread of this process may keep the interpreter when a step is due [s]."""
 
@@ -280,6 +284,7 @@ def main(args: list[str] | None = None) -> int:
     """Runs the node until SIGINT or SIGTERM; 0 after a clean end, 1 after an error."""
     stop = threading.Event()
     sys.setswitchinterval(SWITCH_INTERVAL)
+    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", TRANSPORTS)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     try:
