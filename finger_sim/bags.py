@@ -213,6 +213,10 @@ def plane_poses_of(reader: BagReader, commands: Commands, topic: str | None = No
         return None
     good, refusals = _good_ones(_read_poses(reader, chosen), commands.frame_id)
     position, orientation = _arrays(good)
+    farthest = max((abs(row.log_time - commands.start) for row in good), default=0) * 1e-9
+    if farthest > LONGEST:
+        far = f"{farthest:.3g} s away from the first command, allowed: {LONGEST:g} s"
+        raise BagError(f"{reader.path}: topic {chosen}: a log time is {far}")
     receipt = np.array([row.log_time - commands.start for row in good], dtype=np.int64)
     return PlanePoses(chosen, receipt, position, orientation, len(refusals))
 

@@ -93,7 +93,8 @@ def run(
     """Simulates the commands of `bag` and writes what the node would publish to the new bag `out`.
 
     The newest command received up to the beginning of a step holds during it; the first one places the finger
-    at rest. Poses of the plane in the bag move it likewise, from the newest before the first command on. Both are
+    at rest. Poses of the plane in the bag move it likewise, from the newest before the first command on. The last
+    step is the one that follows the last of all these. Both are
     copied as they were read, those that are refused too: replayed, `out` gives itself.
     A bag that the node recorded from its first command on gives the live wrench back but for where steps begin:
     what is live at a time is here within two steps of it. Of one that began later the history is not known.
@@ -122,7 +123,8 @@ def run(
         summary.plane_topic, summary.plane_poses = plane.topic, len(places)
         summary.plane_refused = plane.refused + len(plane) - len(places)
     if mode == "free":
-        ends = [_nanoseconds(k + 1, scene.dt) for k in range(_steps(int(commands.receipt_ns[-1]), scene.dt))]
+        last = max(int(commands.receipt_ns[-1]), int(plane.receipt_ns[-1]) if plane is not None and places else 0)
+        ends = [_nanoseconds(k + 1, scene.dt) for k in range(_steps(last, scene.dt))]
         begins = [0, *ends[:-1]]
         followed = [poses[i] for i in np.searchsorted(commands.receipt_ns, begins, side="right") - 1]
     else:
@@ -178,7 +180,7 @@ def _poses(recorded: Commands | PlanePoses) -> list[Pose]:
 
 
 def _steps(last: int, dt: float) -> int:
-    """Steps until the command received at `last` [ns] has been simulated for one of them."""
+    """Steps until the pose received at `last` [ns] has been simulated for one of them."""
     k = math.floor(last * 1e-9 / dt)
     while _nanoseconds(k, dt) < last:
         k += 1

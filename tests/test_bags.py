@@ -857,3 +857,10 @@ def test_broken_clocks_are_refused(tmp_path: Path) -> None:
             bag.write("command_pose", pose(0), time_)
     with pytest.raises(BagError, match=r"/command_pose: log times span 1.84e\+10 s, allowed: 1e\+06 s"):
         read_commands(tmp_path / "bag")
+    for name, time_ in (("old", 0), ("late", 2**64 - 1)):
+        with BagWriter(tmp_path / name) as bag:
+            bag.write(bag.add_topic("command_pose", cdr.POSE_STAMPED), pose(0), START)
+            bag.write(bag.add_topic("plane_pose", cdr.POSE_STAMPED), pose(0), time_)
+        reader = BagReader(tmp_path / name)
+        with pytest.raises(BagError, match=r"/plane_pose: a log time is .* s away from the first command"):
+            plane_poses_of(reader, commands_of(reader))
