@@ -39,7 +39,7 @@ def main() -> None:
         data[STAMP] = command[STAMP]
         publisher.publish(bytes(data))
 
-    qos = QoSProfile(depth=100, reliability=ReliabilityPolicy[reliability.upper()])
+    qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy[reliability.upper()])
     node.create_subscription(PoseStamped, "command_pose", echo, qos, raw=True)
     executor = EXECUTORS[executor_name]()
     executor.add_node(node)

@@ -151,7 +151,7 @@ class Driver:
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=int(DOMAIN))
         self.node = rclpy.create_node("driver", context=self.context, enable_rosout=False)
-        qos = QoSProfile(depth=100, reliability=ReliabilityPolicy[reliability.upper()])
+        qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy[reliability.upper()])
         self.publisher = self.node.create_publisher(PoseStamped, "command_pose", qos)
         self.node.create_subscription(WrenchStamped, "contact_wrench", self._wrench, 100, raw=True)
         if self.free:

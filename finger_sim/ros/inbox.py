@@ -24,7 +24,7 @@ from .messages import check_pose, read_pose
 from .outputs import Outputs, ros_qos
 from .recorder import Topic
 
-COMMAND_QOS = {"free": Qos(depth=100, reliable=False), "triggered": Qos(depth=100)}
+COMMAND_QOS = {"free": Qos(depth=1000, reliable=False), "triggered": Qos(depth=1000)}
 """Of command_pose, by mode; the parameters qos_overrides./command_pose.subscription.… change it.
 
 free: best effort hears reliable and best-effort senders alike, and a command that came late is of no use. The newest is

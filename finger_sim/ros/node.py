@@ -44,7 +44,7 @@ ANSWER_TIMEOUT = 2.0
 REPORT_PERIOD = 1.0
 """Time between two messages on /diagnostics [s]."""
 
-WAITING_COMMANDS = 100
+WAITING_COMMANDS = 1000
 """Commands that may wait for their steps in mode triggered; of more the oldest are dropped and counted."""
 
 TRANSPORTS = "UDPv4"
