@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,16 +52,26 @@ def environment(domain: int) -> dict[str, str]:
 
 
 class NodeProcess:
-    """The node, started with ROS arguments; `program` replaces `-m finger_sim.ros.node`."""
+    """The node, started with ROS arguments; `program` replaces `-m finger_sim.ros.node`.
 
-    def __init__(self, log: Path, *arguments: str, program: Sequence[str] = ("-m", "finger_sim.ros.node")) -> None:
-        self.domain = next(_domains)
+    In `domain`, or one of its own; `changes` are made to its environment.
+    """
+
+    def __init__(
+        self,
+        log: Path,
+        *arguments: str,
+        program: Sequence[str] = ("-m", "finger_sim.ros.node"),
+        domain: int | None = None,
+        changes: Mapping[str, str] | None = None,
+    ) -> None:
+        self.domain = next(_domains) if domain is None else domain
         self.log = log
         ros_arguments = ("--ros-args", *arguments) if arguments else ()
         with log.open("wb") as output:
             self.process = subprocess.Popen(
                 [sys.executable, *program, *ros_arguments],
-                env=environment(self.domain),
+                env=environment(self.domain) | dict(changes or {}),
                 stdout=output,
                 stderr=subprocess.STDOUT,
             )
@@ -125,15 +135,17 @@ class Client:
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
 
-    def until(self, condition: Callable[[], Any], repeat: Callable[[], None] | None = None) -> Any:
-        """Spins until the condition is true and gives its value; `repeat` is called every 20 ms meanwhile."""
+    def until(
+        self, condition: Callable[[], Any], repeat: Callable[[], None] | None = None, period: float = 0.02
+    ) -> Any:
+        """Spins until the condition is true and gives its value; `repeat` is called every `period` [s] meanwhile."""
         end, due = time.monotonic() + TIMEOUT, 0.0
         while not (value := condition()):
             assert time.monotonic() < end, "the condition did not come true"
             if repeat is not None and time.monotonic() >= due:
-                due = time.monotonic() + 0.02
+                due = time.monotonic() + period
                 repeat()
-            self.executor.spin_once(timeout_sec=0.01)
+            self.executor.spin_once(timeout_sec=min(0.01, 0.5 * period))
         return value
 
     def collect(self, kind: Any, topic: str, qos: Any = 100) -> list[Any]:

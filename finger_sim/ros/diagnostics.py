@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from ..budget import LADDER
 from ..passivity import stable_stiffness
+from .graph_watch import GraphWatch
 from .inbox import Inbox
 from .loop import Loop, Progress
 from .outputs import Outputs
@@ -21,8 +22,9 @@ STALL = 0.5
 class Reporter:
     """Makes a DiagnosticArray of the time since the last one; called from one thread."""
 
-    def __init__(self, loop: Loop, stepper: Stepper, outputs: Outputs, inbox: Inbox) -> None:
+    def __init__(self, loop: Loop, stepper: Stepper, outputs: Outputs, inbox: Inbox, graph: GraphWatch) -> None:
         self._loop, self._stepper, self._outputs, self._inbox = loop, stepper, outputs, inbox
+        self._graph = graph
         self._before: Progress | None = None
         self._reported = 0.0
         self._refused = self._dropped = 0
@@ -39,6 +41,7 @@ class Reporter:
             problems.append((2, f"the loop ended: {self._loop.error}"))
         self._commands(values, problems)
         self._recording(values, problems)
+        problems += [(1, text) for text in self._graph.problems()]
         level = max((level for level, _ in problems), default=0)
         status = DiagnosticStatus(
             level=bytes([level]),

@@ -33,6 +33,7 @@ from ..scene import Scene
 from . import parameters
 from .bag_pipe import Standby
 from .diagnostics import Reporter
+from .graph_watch import GraphWatch
 from .inbox import Command, Inbox
 from .loop import Loop, RateLoop, TriggeredLoop, prefer_this_thread
 from .outputs import Outputs
@@ -92,7 +93,8 @@ class FingerNode(Node):  # type: ignore[misc]
                 wake=self._inbox.wake,
                 capacity=WAITING_COMMANDS,
             )
-        self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._inbox)
+        graph = GraphWatch(self, self._inbox.subscriptions)
+        self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._inbox, graph)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
         if options.record and os.path.lexists(_bag_path(options.record)):
@@ -115,7 +117,7 @@ class FingerNode(Node):  # type: ignore[misc]
         return self._close()
 
     def _close(self) -> int:
-        stopped = self._loop.stop(timeout=0.5)
+        stopped = self._loop.stop(timeout=0.5 if self._loop.ready else 0.1)
         recorder = self._outputs.recorder
         if recorder is not None:
             recorder.close()
