@@ -18,11 +18,11 @@ limits: {projection: tensor, stretch: [1.05, 1.25, 1.02], compress: [0.95, 0.75,
 plane: {point: [0, 0, 0], friction: 0.5}
 gravity: [0, 0, 0]
 solver: {method: newton}
-coupling: {type: virtual, stiffness: 400.0, damping: 2.0}
+coupling: {type: virtual, stiffness: 200.0, damping: 2.0}
 initial_pose: {position: [0, 0, 0.002]}
 dt: 0.002
 """
-MASS, DAMPING, PUSH = 0.2, 0.3, -1.5
+MASS, DAMPING, PUSH = 0.2, 2.0, -1.0
 """Of the device [kg], [N s/m], and the hand on it [N]."""
 HOLD, MOST = 1e-3, 0.01
 """Largest step of its integration, and of it between two commands [s]."""

@@ -6,11 +6,9 @@ import re
 import signal
 import subprocess
 import sys
-import time
-
-from ros_helpers import REPOSITORY, TIMEOUT, Client, NodeProcess, environment  # isort: skip
 
 from geometry_msgs.msg import WrenchStamped
+from ros_helpers import REPOSITORY, TIMEOUT, Client, NodeProcess, environment
 
 LOOP = REPOSITORY / "examples" / "device_loop.py"
 
@@ -30,7 +28,8 @@ def test_the_device_loop_feels_the_table_and_ends_with_ctrl_c(tmp_path):
             with Client(node.domain) as client:
                 wrenches = client.collect(WrenchStamped, "device_wrench")
                 client.until(lambda: any(w.wrench.force.z > 0.5 for w in wrenches[-50:]))
-            time.sleep(0.5)
+                count = len(wrenches)
+                client.until(lambda: len(wrenches) > count + 200)
             loop.send_signal(signal.SIGINT)
             output, _ = loop.communicate(timeout=TIMEOUT)
         finally:

@@ -115,6 +115,17 @@ def test_parameters_and_services_are_answered_between_commands(client):
     assert not client.set("mode", "free").successful
 
 
+def test_a_sender_that_cannot_be_heard_is_told(client, node):
+    """A best-effort one, for as long as it is there."""
+    told = "/client publishes /command_pose best effort, must be reliable"
+    with Client(node.domain) as other:
+        qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        other.node.create_publisher(PoseStamped, "command_pose", qos)
+        client.until(lambda: told in client.report()[0].message)
+    client.until(lambda: told not in client.report()[0].message)
+    assert node.output.count(told) == 1
+
+
 def test_the_same_commands_give_the_same_bits(client):
     """From rest, twice: every wrench to its last bit."""
     wrenches, _, _ = started(client)
