@@ -33,13 +33,6 @@ def client(node):
         yield client
 
 
-@pytest.fixture(autouse=True)
-def _each_test_listens_for_itself(request):
-    yield
-    if "client" in request.fixturenames:
-        request.getfixturevalue("client").forget()
-
-
 def numbered(number, z):
     """A command whose stamp is a number."""
     message = command(z)

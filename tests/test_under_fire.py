@@ -46,13 +46,6 @@ def client(node):
         yield client
 
 
-@pytest.fixture(autouse=True)
-def _each_test_listens_for_itself(request):
-    yield
-    if "client" in request.fixturenames:
-        request.getfixturevalue("client").forget()
-
-
 def values(client):
     """The items of the last report."""
     return {item.key: item.value for item in client.reports[-1].status[0].values}
