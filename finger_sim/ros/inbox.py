@@ -1,8 +1,8 @@
 """What comes in on command_pose and plane_pose, taken by the loop itself when it is about to step.
 
-No executor waits for these topics: to be woken for each command, only to note it for a later step, takes ten times
-as long as to look, and takes the interpreter from the step (benchmarks/latency.py). Until the loop is ready whoever
-serves ROS looks now and then, so that nothing is refused without a word while kernels are compiled.
+No executor waits for these topics: woken for each command, only to note it for a later step, it would take the
+interpreter from the present one. Until the loop is ready whoever serves ROS looks now and then, so that nothing is
+refused without a word while kernels are compiled.
 """
 
 from __future__ import annotations
