@@ -2,7 +2,30 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
+from xdist.scheduler import LoadScopeScheduling
+
+TALKS = re.compile(r"^from (ros_helpers|domains) import|^from finger_sim import .*\bdemo$", re.MULTILINE)
+"""In the text of a test file that talks over ROS."""
+
+
+class ByFile(LoadScopeScheduling):
+    """The tests of a file run in one process, so that what they share is made once.
+
+    Those that talk over ROS all run in the same one: a node, its recorder and a client need a core to hear each other.
+    """
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = nodeid.split("::")[0]
+        text = (Path(__file__).parent / Path(file).name).read_text()
+        return "ros" if TALKS.search(text) else file
+
+
+def pytest_xdist_make_scheduler(config, log):
+    return ByFile(config, log)
 
 
 @pytest.fixture(autouse=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import signal
 import subprocess
@@ -21,6 +20,7 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from domains import DOMAINS
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
@@ -30,8 +30,6 @@ from rclpy.parameter import Parameter
 REPOSITORY = Path(__file__).resolve().parent.parent
 TIMEOUT = 200.0
 """Longest wait for any condition [s], the first compilation of the kernels among them."""
-
-_domains = itertools.cycle([(17 * os.getpid() + 29 * i) % 101 + 1 for i in range(101)])
 
 BLOCK = """
 mesh: {beam: {size: [0.02, 0.01, 0.01], cells: [2, 1, 1]}}
@@ -65,7 +63,7 @@ class NodeProcess:
         domain: int | None = None,
         changes: Mapping[str, str] | None = None,
     ) -> None:
-        self.domain = next(_domains) if domain is None else domain
+        self.domain = next(DOMAINS) if domain is None else domain
         self.log = log
         ros_arguments = ("--ros-args", *arguments) if arguments else ()
         with log.open("wb") as output:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from domains import DOMAINS
 
 from finger_sim.bags import BagReader, BagWriter, write_commands
 from finger_sim.cdr import POSE_STAMPED, pose_stamped
@@ -242,7 +243,7 @@ def test_without_ros_the_extra_is_named(capsys, here, monkeypatch):
 def process(*arguments, cwd):
     """The command line in a process of its own."""
     path = os.pathsep.join(filter(None, (str(REPOSITORY), os.environ.get("PYTHONPATH"))))
-    environment = os.environ | {"PYTHONPATH": path, "ROS_DOMAIN_ID": str(os.getpid() % 101 + 1)}
+    environment = os.environ | {"PYTHONPATH": path, "ROS_DOMAIN_ID": str(next(DOMAINS))}
     return subprocess.Popen(
         [sys.executable, "-m", "finger_sim", *arguments], cwd=cwd, env=environment, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,

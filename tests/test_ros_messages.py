@@ -144,7 +144,11 @@ def test_a_pose_is_read_as_it_was_sent(frame_id, swapped):
     assert messages.read_pose(data) == (STAMP, frame_id, values)
 
 
-@pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 12, b"\7" * 96, WHOLE[:40], WHOLE[:-1]])
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 12, b"\7" * 96, WHOLE[:40], WHOLE[:-1]],
+    ids=["nothing", "header only", "a name without end", "no CDR", "cut in the position", "a byte short"],
+)
 def test_bytes_that_are_no_pose_are_refused(data):
     """Cut off, or never one."""
     with pytest.raises(ValueError, match="bytes that are no PoseStamped"):
