@@ -24,28 +24,28 @@ def environment(changes: Mapping[str, str] | None = None) -> dict[str, str]:
 
 @contextlib.contextmanager
 def running_node(
-    parameters: Mapping[str, str], changes: Mapping[str, str] | None = None
+    parameters: Mapping[str, str], changes: Mapping[str, str] | None = None, said: str = "ready after"
 ) -> Iterator[tuple[subprocess.Popen[str], float]]:
-    """The node, once it has said that it is ready, and the seconds that took from the start of its process."""
+    """The node, once it has said so on stderr, and the seconds that took from the start of its process."""
     arguments = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    with started(["-m", "finger_sim.ros.node", "--ros-args", *arguments], changes) as found:
+    with started(["-m", "finger_sim.ros.node", "--ros-args", *arguments], changes, said) as found:
         yield found
 
 
 @contextlib.contextmanager
 def started(
-    program: Sequence[str], changes: Mapping[str, str] | None = None
+    program: Sequence[str], changes: Mapping[str, str] | None = None, said: str = "ready after"
 ) -> Iterator[tuple[subprocess.Popen[str], float]]:
-    """A Python program, once it has said on stderr that it is ready, and the seconds that took; ended by SIGINT."""
+    """A Python program, once it has said so on stderr, and the seconds that took; ended by SIGINT."""
     begin = time.perf_counter()
     process = subprocess.Popen([sys.executable, *program], env=environment(changes), stderr=subprocess.PIPE, text=True)
     try:
         assert process.stderr is not None
         for line in process.stderr:
-            if "ready after" in line:
+            if said in line:
                 break
         else:
-            raise SystemExit(f"the process ended with code {process.wait()} before it was ready")
+            raise SystemExit(f"the process ended with code {process.wait()} before {said!r}")
         yield process, time.perf_counter() - begin
     finally:
         process.send_signal(signal.SIGINT)
