@@ -13,13 +13,12 @@ from pathlib import Path
 
 DOMAIN = os.environ.get("ROS_DOMAIN_ID") or str(1 + os.getpid() % 100)
 """The one that is set, or this process's own."""
-RANGE = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-"""Traffic of this machine only, if nothing is set."""
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")  # traffic of this machine only, if nothing is set
 
 
 def environment(changes: Mapping[str, str] | None = None) -> dict[str, str]:
-    """This process's environment in that domain and range."""
-    return {**os.environ, "ROS_DOMAIN_ID": DOMAIN, "ROS_AUTOMATIC_DISCOVERY_RANGE": RANGE, **(changes or {})}
+    """This process's environment in that domain."""
+    return {**os.environ, "ROS_DOMAIN_ID": DOMAIN, **(changes or {})}
 
 
 @contextlib.contextmanager

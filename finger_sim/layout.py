@@ -55,7 +55,7 @@ def place(rest: NDArray[np.float64], pose: HasPose) -> NDArray[np.float64]:
 def node_strain(strain_ratio: NDArray[np.float64], tets: NDArray[np.integer[Any]], nodes: int) -> NDArray[np.float64]:
     """Strain / limit at each node (nodes,): the largest over the tets (T, 4) around it; 0 if none."""
     strain = np.zeros(nodes)
-    np.maximum.at(strain, tets.ravel(), np.repeat(strain_ratio, 4))  # in one dimension: three times as fast
+    np.maximum.at(strain, tets.ravel(), np.repeat(strain_ratio, 4))  # NumPy is slow at it in two dimensions
     return strain
 
 

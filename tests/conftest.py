@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -20,8 +21,13 @@ class ByFile(LoadScopeScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         file = nodeid.split("::")[0]
-        text = (Path(__file__).parent / Path(file).name).read_text()
-        return "ros" if TALKS.search(text) else file
+        return "ros" if talks(Path(file).name) else file
+
+
+@cache
+def talks(file: str) -> bool:
+    """Whether the tests of a file of this folder talk over ROS."""
+    return TALKS.search((Path(__file__).parent / file).read_text()) is not None
 
 
 def pytest_xdist_make_scheduler(config, log):
