@@ -19,9 +19,9 @@ import numpy as np
 from finger_sim import Scene
 from finger_sim.console import gauge
 from finger_sim.physics.work import WORK
-from finger_sim.studies import bench_passes as passes
-from finger_sim.studies.bench_scenes import PHASES, Ours, press_and_slide, touch_height
-from finger_sim.surfaces import new_figure, save
+from finger_sim.pictures.surfaces import new_figure, save
+from finger_sim.studies.bench import passes
+from finger_sim.studies.bench.scenes import PHASES, Ours, press_and_slide, touch_height
 
 AWAKE = {"solver.sleep": False, "solver.settle": False}
 FREE = [None] * 3

@@ -14,7 +14,7 @@ from collections import Counter
 import numpy as np
 
 from finger_sim import Pose, Scene, Simulator
-from finger_sim.budget import LADDER, Budget, on_rung
+from finger_sim.haptics.budget import LADDER, Budget, on_rung
 from finger_sim.ros.loop import RateLoop
 from finger_sim.studies.strokes import poses
 

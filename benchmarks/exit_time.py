@@ -11,7 +11,7 @@ from pathlib import Path
 
 from node_process import running_node
 
-from finger_sim.bags import BagReader
+from finger_sim.bags.reader import BagReader
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

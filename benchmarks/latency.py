@@ -32,7 +32,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from finger_sim import Scene
-from finger_sim.studies.bench_scenes import FLAT, touch_height
+from finger_sim.studies.bench.scenes import FLAT, touch_height
 
 DEPTH, STROKE = 1e-3, 2e-3
 """Of the press, and of the slide to either side [m]."""

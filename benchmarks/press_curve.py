@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from finger_sim import Pose, Scene, Simulator
-from finger_sim.rotations import matrix
+from finger_sim.physics.rotations import matrix
 
 DEPTHS = np.arange(0.25, 2.51, 0.25) * 1e-3
 SPEED = 0.02

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from finger_sim import Scene
-from finger_sim.demo import PRIORITY, RATE, SCENE, Outcome, bare_loop, run_demo
+from finger_sim.ros.demo import PRIORITY, RATE, SCENE, Outcome, bare_loop, run_demo
 
 SECONDS = 7.0
 """Of the bare loop: about as long as the commands of the demo."""

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from node_process import DOMAIN, bag_process, cpu_seconds, environment, running_node
 
-from finger_sim.bags import BagReader, Commands, read_commands
-from finger_sim.resources import find_bag
+from finger_sim.bags.reader import BagReader, Commands, read_commands
+from finger_sim.scene.resources import find_bag
 
 RATE = 1000.0
 """[Hz]"""

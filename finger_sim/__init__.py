@@ -6,7 +6,7 @@ if TYPE_CHECKING:
     from .errors import BagError, FingerSimError, MeshError, MissingExtraError, SceneError
     from .physics.step import Status
     from .scene import Pose, Scene
-    from .simulator import Simulator, StepResult
+    from .simulation.simulator import Simulator, StepResult
 
 __all__ = [
     "BagError",
@@ -24,8 +24,8 @@ __all__ = [
 _HOME = {
     "Pose": "scene",
     "Scene": "scene",
-    "Simulator": "simulator",
-    "StepResult": "simulator",
+    "Simulator": "simulation.simulator",
+    "StepResult": "simulation.simulator",
     "Status": "physics.step",
 }
 

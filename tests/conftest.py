@@ -21,13 +21,13 @@ class ByFile(LoadScopeScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         file = nodeid.split("::")[0]
-        return "ros" if talks(Path(file).name) else file
+        return "ros" if talks(file) else file
 
 
 @cache
 def talks(file: str) -> bool:
     """Whether the tests of a file of this folder talk over ROS."""
-    return TALKS.search((Path(__file__).parent / file).read_text()) is not None
+    return TALKS.search((Path(__file__).parents[1] / file).read_text()) is not None
 
 
 def pytest_xdist_make_scheduler(config, log):

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from finger_sim import Pose, Scene, Simulator, Status, StepResult
+from finger_sim.physics import linear_solver
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -141,3 +142,17 @@ def settle(sim: Simulator, command: Pose | None = None, *, speed: float = 1e-9, 
 def healthy(out: StepResult) -> bool:
     """No status bit that speaks of a solve that failed."""
     return not out.status & UNFIT
+
+
+def loaded(edges: Any, A: Array) -> tuple[Any, Array, Array, Array]:
+    """The pattern of the graph and A's blocks in its slots, by columns; their padding is rubbish to be ignored."""
+    nodes = len(A) // 3
+    blocks = A.reshape(nodes, 3, nodes, 3)
+    pattern = linear_solver.analyse(edges, nodes)
+    order = pattern.order
+    diagonal, lower = np.full((nodes, 3, 4), 7.0), np.full((len(pattern.row), 3, 4), -7.0)
+    for column in range(nodes):
+        diagonal[column, :, :3] = blocks[order[column], :, order[column], :].T
+        for p in range(pattern.start[column], pattern.start[column + 1]):
+            lower[p, :, :3] = blocks[order[pattern.row[p]], :, order[column], :].T
+    return pattern, diagonal, lower, np.zeros((nodes, 3, 4))

@@ -6,28 +6,11 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-
-REPOSITORY = Path(__file__).resolve().parent.parent
-
-
-def python(code: str, *arguments: str, **environment: str) -> str:
-    """Standard output of a fresh interpreter."""
-    path = os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=200,
-        env=os.environ | {"PYTHONPATH": path} | environment,
-        cwd=REPOSITORY / "tests",
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+from processes import REPOSITORY, python
 
 
 def test_physics_needs_no_ros() -> None:
@@ -36,14 +19,17 @@ def test_physics_needs_no_ros() -> None:
         "import sys\n"
         "for name in ('rclpy', 'std_msgs', 'geometry_msgs', 'sensor_msgs', 'builtin_interfaces', 'rclpy.node'):\n"
         "    sys.modules[name] = None\n"
-        "import finger_sim, finger_sim.replay, finger_sim.bags, finger_sim.recordings\n"
+        "import finger_sim, finger_sim.simulation.replay, finger_sim.bags.reader, finger_sim.bags.imports\n"
         "sim = finger_sim.Simulator(finger_sim.Scene.load('finger'))\n"
         "print(int(sim.step().status), any(n.startswith('finger_sim.ros') for n in sys.modules))\n"
     )
     assert out.split() == ["0", "False"]
 
 
-@pytest.mark.parametrize("module", ["finger_sim", "finger_sim.simulator", "finger_sim.physics.step", "finger_sim.bags"])
+@pytest.mark.parametrize(
+    "module",
+    ["finger_sim", "finger_sim.simulation.simulator", "finger_sim.physics.step", "finger_sim.bags.reader"],
+)
 def test_import_is_light(module: str) -> None:
     """Importing neither draws, nor meshes, nor talks: no matplotlib, gmsh, rclpy, and no test tools."""
     out = python(f"import sys, {module}\nprint(*sys.modules)")
@@ -53,7 +39,7 @@ def test_import_is_light(module: str) -> None:
 
 def test_a_process_that_writes_bags_is_lean() -> None:
     """It starts fast: neither numbers nor compilers nor ROS."""
-    out = python("import sys, finger_sim.bag_process\nprint(*sys.modules)")
+    out = python("import sys, finger_sim.bags.process\nprint(*sys.modules)")
     loaded = {name.split(".")[0] for name in out.split()}
     assert not loaded & {"numpy", "numba", "scipy", "rosbags", "rclpy", "rich"}
 
@@ -112,14 +98,14 @@ def test_kernel_twin_tests_run_uncompiled() -> None:
             "-p",
             "no:cacheprovider",
             "-x",
-            "test_linear_solver.py",
-            "test_strain_limits.py::test_values_along_the_axes_by_hand",
-            "test_strain_limits.py::test_number_of_rows",
-            "test_strain_limits.py::test_gradients_are_those_of_perturbation_theory",
-            "test_kinematics.py::test_svd_of_degenerate_matrices",
-            "test_kinematics.py::test_svd_of_reflections",
-            "test_elasticity.py::test_tangent_stiffness_is_the_derivative_of_the_forces",
-            "test_pgs.py::test_tangents_stay_in_the_disk_and_reduce_slip",
+            "physics/test_linear_solver.py",
+            "physics/test_strain_limits.py::test_values_along_the_axes_by_hand",
+            "physics/test_strain_limits.py::test_number_of_rows",
+            "physics/test_strain_limits.py::test_gradients_are_those_of_perturbation_theory",
+            "physics/test_kinematics.py::test_svd_of_degenerate_matrices",
+            "physics/test_kinematics.py::test_svd_of_reflections",
+            "physics/test_elasticity.py::test_tangent_stiffness_is_the_derivative_of_the_forces",
+            "physics/test_pgs.py::test_tangents_stay_in_the_disk_and_reduce_slip",
         ],
         cwd=REPOSITORY / "tests",
         capture_output=True,

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arrays import Floats, Ints
-from ..locking import STIFF_BULK, bulk_to_shear, isochoric_strain
-from ..mesh import TetMesh
 from ..scene import Scene
+from ..scene.locking import STIFF_BULK, bulk_to_shear, isochoric_strain
+from ..scene.mesh import TetMesh
 from . import linear_solver, strain_limits
 from .kinematics import BATCH
 from .lanes import LANES, aligned, padded

@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING
 
 from ..arrays import Floats
-from ..locking import STRAINS
+from ..scene.locking import STRAINS
 from .bone import aim_bone, move_bone, place_driven
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage

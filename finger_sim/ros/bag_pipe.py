@@ -1,4 +1,4 @@
-"""This end of a process that writes bags (`finger_sim.bag_process`)."""
+"""This end of a process that writes bags (`finger_sim.bags.process`)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import threading
 from collections.abc import Sequence
 from typing import IO, Any
 
-from ..bag_process import Order
-from ..bag_ring import Ring, make_file
+from ..bags.process import Order
+from ..bags.ring import Ring, make_file
 from ..errors import BagError
 
-COMMAND = (sys.executable, "-m", "finger_sim.bag_process")
+COMMAND = (sys.executable, "-m", "finger_sim.bags.process")
 END_TIMEOUT = 0.2
 """How long the end of an idle process is waited for [s]."""
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from ..budget import LADDER
-from ..passivity import stable_stiffness
+from ..haptics.budget import LADDER
+from ..haptics.passivity import stable_stiffness
 from .graph_watch import GraphWatch
 from .inbox import Inbox
 from .loop import Loop, Progress

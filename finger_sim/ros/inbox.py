@@ -18,7 +18,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from ..bags import Qos
+from ..bags.reader import Qos
 from ..scene import Pose
 from .messages import check_pose, read_pose
 from .outputs import Outputs, ros_qos

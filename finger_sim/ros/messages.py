@@ -25,9 +25,9 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
 from ..arrays import Floats
-from ..fields import specs
-from ..layout import FLOAT32, POINT_FIELDS, POINT_STEP
+from ..bags.layout import FLOAT32, POINT_FIELDS, POINT_STEP
 from ..scene import Pose
+from ..scene.fields import specs
 
 _STAMP = struct.Struct("<iI")
 _HEADER, _POSE = struct.Struct("<iII"), struct.Struct("<7d")

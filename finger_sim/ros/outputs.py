@@ -18,13 +18,13 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
-from .. import cdr
 from ..arrays import Floats
-from ..bags import Qos
-from ..layout import express_wrench, node_strain, pack_points, place, wrench_frame_id
-from ..mesh import TetMesh
+from ..bags import cdr
+from ..bags.layout import express_wrench, node_strain, pack_points, place, wrench_frame_id
+from ..bags.reader import Qos
 from ..scene import Pose
-from ..simulator import Simulator, StepResult
+from ..scene.mesh import TetMesh
+from ..simulation.simulator import Simulator, StepResult
 from . import messages
 from .parameters import NodeOptions
 from .recorder import Recorder, Topic

@@ -16,11 +16,11 @@ import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter as RosParameter
 
-from ..bags import Compression
+from ..bags.layout import WRENCH_FRAMES
+from ..bags.reader import Compression
 from ..errors import SceneError
-from ..fields import Field, field, parse_part, specs
-from ..layout import WRENCH_FRAMES
 from ..scene import Parameter, Scene
+from ..scene.fields import Field, field, parse_part, specs
 
 ARRAY_KINDS = ("vec3", "quaternion", "limit3")
 

@@ -15,7 +15,7 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from ..bags import Commands
+from ..bags.reader import Commands
 from ..errors import FingerSimError
 from .messages import doubles, pose_template
 

@@ -18,9 +18,9 @@ from dataclasses import astuple
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .. import cdr
-from ..bag_process import Order
-from ..bags import Qos
+from ..bags import cdr
+from ..bags.process import Order
+from ..bags.reader import Qos
 from ..errors import BagError
 from .bag_pipe import BagPipe
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Floats
-from ..budget import Budget, on_rung
-from ..coupling import device_wrench, displacement
-from ..passivity import NONE, Port
+from ..haptics.budget import Budget, on_rung
+from ..haptics.coupling import device_wrench, displacement
+from ..haptics.passivity import NONE, Port
 from ..physics.step import Status
 from ..scene import Pose, Scene
-from ..simulator import Simulator, StepResult
+from ..simulation.simulator import Simulator, StepResult
 from .inbox import Command
 from .loop import Ring
 from .outputs import Outputs

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..arrays import Floats
-from ..mesh import TetMesh
+from ..scene.mesh import TetMesh
 
 
 def deformation(mesh: TetMesh, points: Floats) -> Floats:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..bags import read_commands
-from ..resources import find_bag
+from ..bags.reader import read_commands
 from ..scene import Pose, Scene
+from ..scene.resources import find_bag
 
 
 def poses(scene: Scene, bag: str) -> list[Pose]:

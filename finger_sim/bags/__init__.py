@@ -1,0 +1,1 @@
+"""Recordings: reading, writing and comparing rosbag2 bags, without a ROS graph."""

@@ -1,0 +1,106 @@
+"""Messages as CDR bytes without a ROS installation: schema text, type hashes and the few messages we write.
+
+Definitions come from the ROS 2 Jazzy type store of `rosbags`, loaded at the first use.
+Times are integer nanoseconds, lengths [m], forces [N], torques [N·m]; quaternions are xyzw.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BagError
+from .layout import FLOAT32, POINT_FIELDS, POINT_STEP
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+MESH = "shape_msgs/msg/Mesh"
+
+Vector = Sequence[float] | NDArray[np.float64]
+
+
+@functools.cache
+def typestore() -> Typestore:
+    """The message types of ROS 2 Jazzy."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@functools.cache
+def definition(msgtype: str) -> tuple[str, str]:
+    """Full `ros2msg` text of a type and its RIHS01 hash; BagError if Jazzy has no such type."""
+    from rosbags.typesys import TypesysError
+
+    try:
+        text, _ = typestore().generate_msgdef(msgtype, ros_version=2)
+        return text, typestore().hash_rihs01(msgtype)
+    except (TypesysError, KeyError):
+        raise BagError(f"message type {msgtype!r}: not a ROS 2 Jazzy type, such as {POSE_STAMPED}") from None
+
+
+def deserialize(data: bytes, msgtype: str) -> Any:
+    """The message in CDR bytes; ValueError says what is wrong with them."""
+    from rosbags.serde import SerdeError
+
+    try:
+        return typestore().deserialize_cdr(data, msgtype)
+    except SerdeError as error:
+        raise ValueError(str(error)) from None
+
+
+def pose_stamped(stamp: int, frame_id: str, position: Vector, orientation: Vector) -> bytes:
+    """PoseStamped: position (3,) [m] and orientation (4,) xyzw of a frame in `frame_id`."""
+    x, y, z = (float(v) for v in position)
+    qx, qy, qz, qw = (float(v) for v in orientation)
+    pose = _new(
+        "geometry_msgs/msg/Pose",
+        _new("geometry_msgs/msg/Point", x, y, z),
+        _new("geometry_msgs/msg/Quaternion", qx, qy, qz, qw),
+    )
+    return _serialize(_new(POSE_STAMPED, _header(stamp, frame_id), pose), POSE_STAMPED)
+
+
+def wrench_stamped(stamp: int, frame_id: str, wrench: Vector) -> bytes:
+    """WrenchStamped: force and torque (6,) [N, N·m] in the axes and about the point that `frame_id` names."""
+    w = [float(v) for v in wrench]
+    vector = "geometry_msgs/msg/Vector3"
+    message = _new("geometry_msgs/msg/Wrench", _new(vector, *w[:3]), _new(vector, *w[3:]))
+    return _serialize(_new(WRENCH_STAMPED, _header(stamp, frame_id), message), WRENCH_STAMPED)
+
+
+def point_cloud(stamp: int, frame_id: str, points: NDArray[np.void]) -> bytes:
+    """PointCloud2 of points (n,) packed by `layout.pack_points`."""
+    fields = [_new("sensor_msgs/msg/PointField", name, offset, FLOAT32, 1) for name, offset in POINT_FIELDS]
+    data = points.view(np.uint8).reshape(-1)
+    n = len(points)
+    message = _new(POINT_CLOUD, _header(stamp, frame_id), 1, n, fields, False, POINT_STEP, n * POINT_STEP, data, True)
+    return _serialize(message, POINT_CLOUD)
+
+
+def mesh(vertices: NDArray[np.float64], triangles: NDArray[np.integer[Any]]) -> bytes:
+    """Mesh: vertices (n, 3) [m] and triangles (k, 3) of indices into them."""
+    faces = [_new("shape_msgs/msg/MeshTriangle", face) for face in np.asarray(triangles, dtype=np.uint32)]
+    points = [_new("geometry_msgs/msg/Point", float(x), float(y), float(z)) for x, y, z in vertices]
+    return _serialize(_new(MESH, faces, points), MESH)
+
+
+def _header(stamp: int, frame_id: str) -> Any:
+    seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+    return _new("std_msgs/msg/Header", _new("builtin_interfaces/msg/Time", seconds, nanoseconds), frame_id)
+
+
+def _new(msgtype: str, *values: Any) -> Any:
+    return typestore().types[msgtype](*values)
+
+
+def _serialize(message: Any, msgtype: str) -> bytes:
+    return bytes(typestore().serialize_cdr(message, msgtype))

@@ -1,0 +1,395 @@
+"""How two bags differ, topic by topic: bit for bit, and by what their numbers are apart.
+
+Bags that overlap in time are compared at the same log time; others count from their first command each (without
+one, from their first message). Each message of A is compared with B at its time, B being interpolated between its
+two messages around it; where both have the same times that is message by message.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+import math
+from collections import deque
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.table import Table
+
+from ..arrays import Floats
+from ..console import table
+from ..errors import BagError
+from ..plain import plain
+from . import cdr
+from .layout import POINT_DTYPE, POINT_NAMES
+from .reader import BagReader, Message, Topic, absolute
+
+
+@dataclass
+class Difference:
+    """How far one quantity of A and B is apart: of vectors the length, of turns the angle."""
+
+    quantity: str
+    unit: str
+    rms: float = 0.0
+    """Over the messages compared (and their points)."""
+    max: float = 0.0
+    """inf where the two cannot be compared: another frame, number of points, or not a number."""
+    max_time: float = 0.0
+    """Of the message with the largest difference, since the start of A [s]."""
+    peak: float = 0.0
+    """Largest value in A, of the messages compared."""
+
+
+@dataclass
+class TopicComparison:
+    """What is different on one topic."""
+
+    name: str
+    type: str
+    messages: tuple[int, int]
+    """In A and in B."""
+    identical: bool = True
+    """Whether bytes, times and numbers of all messages are the same."""
+    compared: int = 0
+    """Messages of A with a B to compare with."""
+    outside: tuple[int, int] = (0, 0)
+    """Messages of A and of B at times that the other does not hold."""
+    differences: list[Difference] = field(default_factory=list)
+    """Of the quantities in wrenches, poses, clouds and meshes; of other types none."""
+    first: str | None = None
+    """The first difference that counts, and when [s since the start of A]."""
+    equal: bool = True
+
+
+@dataclass
+class Comparison:
+    """What is different in two bags; `equal` when nothing that counts is."""
+
+    a: Path
+    b: Path
+    tolerance: float | None
+    topics: list[TopicComparison]
+    warnings: list[str]
+
+    @property
+    def equal(self) -> bool:
+        """Whether all topics are equal: bit by bit, or within the tolerance."""
+        return all(topic.equal for topic in self.topics)
+
+    def as_plain(self) -> dict[str, Any]:
+        """All of it for JSON; what is not finite is null."""
+        return {**plain({"equal": self.equal, **dataclasses.asdict(self)}), "a": str(self.a), "b": str(self.b)}
+
+
+def compare(
+    a: str | Path,
+    b: str | Path,
+    *,
+    topics: Collection[str] | None = None,
+    tolerance: float | None = None,
+    overlap: bool = False,
+) -> Comparison:
+    """Compares the bag `b` with the bag `a`.
+
+    topics    : to compare, all of either if left out
+    tolerance : None: every message must be the same bit by bit, in bytes, times and number. Else the largest
+                difference in wrenches, poses, clouds and meshes, in their SI units, that still is equal; topics of
+                other types do not count then
+    overlap   : messages at times that only one of the bags holds do not count; needs a tolerance
+    Raises BagError for a bag that cannot be read, a topic that neither has, and an overlap without a tolerance.
+    """
+    if overlap and tolerance is None:
+        raise BagError("overlap: needs a tolerance: bags of different spans are not bit-identical")
+    readers = BagReader(a), BagReader(b)
+    have: tuple[dict[str, Topic], ...] = tuple({absolute(t.name): t for t in reader.topics} for reader in readers)
+    names = list(dict.fromkeys([*have[0], *have[1]]))
+    if topics is not None:
+        wanted = list(dict.fromkeys(absolute(topic) for topic in topics))
+        for name in wanted:
+            if name not in names:
+                raise BagError(f"{a}, {b}: no topic {name} in either; found {', '.join(names) or 'none'}")
+        names = wanted
+    pairs = {}
+    done = []
+    for name in names:
+        one, other = (topics_of.get(name) for topics_of in have)
+        known = one or other
+        assert known is not None
+        out = TopicComparison(name, known.type, (one.count if one else 0, other.count if other else 0))
+        done.append(out)
+        if one is None or other is None:
+            out.identical = out.equal = False
+            out.first = f"only in {'A' if other is None else 'B'}"
+        elif one.type != other.type:
+            out.identical = out.equal = False
+            out.first = f"{one.type} in A, {other.type} in B"
+        else:
+            pairs[name] = _Pair(out, (Path(a), Path(b)), tolerance)
+    for side, time, message in _merged(readers, pairs):
+        pairs[absolute(message.topic)].take(side, time, message)
+    for pair in pairs.values():
+        pair.finish(overlap)
+    warnings = [reader.warning for reader in readers if reader.warning]
+    return Comparison(Path(a), Path(b), tolerance, done, warnings)
+
+
+def _merged(readers: tuple[BagReader, BagReader], topics: Collection[str]) -> Iterator[tuple[int, int, Message]]:
+    """Messages of A (0) and B (1) on one time [ns] since the start of A, A first where both have the same."""
+    zeros = [reader.start_time or 0 for reader in readers]
+    if _apart(*readers):
+        begin = [_first_command(reader) or zero for reader, zero in zip(readers, zeros, strict=True)]
+        zeros[1] = begin[1] - begin[0] + zeros[0]
+    else:
+        zeros[1] = zeros[0]
+
+    def stream(side: int) -> Iterator[tuple[int, int, Message]]:
+        return ((side, message.log_time - zeros[side], message) for message in readers[side].messages(topics))
+
+    return heapq.merge(stream(0), stream(1), key=lambda item: item[1])
+
+
+def _apart(one: BagReader, other: BagReader) -> bool:
+    """Whether two bags have no time in common."""
+    if one.start_time is None or one.end_time is None or other.start_time is None or other.end_time is None:
+        return False
+    return one.end_time < other.start_time or other.end_time < one.start_time
+
+
+def _first_command(reader: BagReader) -> int | None:
+    """Log time of the first message on a topic `command_pose` [ns], in any namespace."""
+    names = [topic.name for topic in reader.topics if absolute(topic.name).endswith("/command_pose")]
+    return next((message.log_time for message in reader.messages(names)), None)
+
+
+class _Value(NamedTuple):
+    """The numbers of one message, by quantity, each (n, d)."""
+
+    frame: str
+    parts: tuple[Floats, ...]
+
+
+class _Kind(NamedTuple):
+    """Quantities in a type of message, with their units, and how to get at them."""
+
+    quantities: tuple[tuple[str, str], ...]
+    value: Callable[[Any], _Value]
+
+
+def _wrench(message: Any) -> _Value:
+    f, t = message.wrench.force, message.wrench.torque
+    return _Value(message.header.frame_id, (np.array([[f.x, f.y, f.z]]), np.array([[t.x, t.y, t.z]])))
+
+
+def _pose(message: Any) -> _Value:
+    p, q = message.pose.position, message.pose.orientation
+    return _Value(message.header.frame_id, (np.array([[p.x, p.y, p.z]]), np.array([[q.x, q.y, q.z, q.w]])))
+
+
+def _cloud(message: Any) -> _Value:
+    names = [field.name for field in message.fields]
+    if names != list(POINT_NAMES) or message.point_step != POINT_DTYPE.itemsize:
+        raise BagError(f"point fields {', '.join(names)} cannot be compared, allowed: {', '.join(POINT_NAMES)}")
+    points = message.data.view("<f4").reshape(-1, len(POINT_NAMES)).astype(np.float64)
+    return _Value(message.header.frame_id, (points[:, 0:3], points[:, 3:6], points[:, 6:9], points[:, 9:]))
+
+
+def _mesh(message: Any) -> _Value:
+    vertices = np.array([[v.x, v.y, v.z] for v in message.vertices]).reshape(-1, 3)
+    triangles = np.array([t.vertex_indices for t in message.triangles], dtype=np.float64).reshape(-1, 3)
+    return _Value("", (vertices, triangles))
+
+
+_TURN = ("orientation", "rad")
+_KINDS = {
+    cdr.WRENCH_STAMPED: _Kind((("force", "N"), ("torque", "N·m")), _wrench),
+    cdr.POSE_STAMPED: _Kind((("position", "m"), _TURN), _pose),
+    cdr.POINT_CLOUD: _Kind((("points", "m"), ("displacement", "m"), ("force", "N"), ("strain/limit", "1")), _cloud),
+    cdr.MESH: _Kind((("vertices", "m"), ("triangles", "1")), _mesh),
+}
+
+
+class _Moment:
+    """A message at a time, its numbers decoded when they are first asked for."""
+
+    def __init__(self, path: Path, time: int, number: int, message: Message) -> None:
+        self.path, self.time, self.number, self.message = path, time, number, message
+        self._value: _Value | None = None
+
+    def value(self, kind: _Kind) -> _Value:
+        """Its numbers. Raises BagError when its bytes are not what its type says."""
+        if self._value is None:
+            where = f"{self.path}: topic {self.message.topic}, message {self.number}"
+            try:
+                self._value = kind.value(cdr.deserialize(self.message.data, self.message.type))
+            except (BagError, ValueError) as error:
+                raise BagError(f"{where}: {error}") from None
+        return self._value
+
+
+class _Pair:
+    """One topic of both bags while its messages come in, in the order of time."""
+
+    def __init__(self, out: TopicComparison, paths: tuple[Path, Path], tolerance: float | None) -> None:
+        self.out, self.tolerance = out, tolerance
+        self._paths = paths
+        self._kind = _KINDS.get(out.type)
+        out.differences = [Difference(*quantity) for quantity in self._kind.quantities] if self._kind else []
+        self._squares = [0.0] * len(out.differences)
+        self._rows = [0] * len(out.differences)
+        self._unpaired: tuple[deque[_Moment], deque[_Moment]] = (deque(), deque())
+        self._waiting: deque[_Moment] = deque()
+        self._before: _Moment | None = None
+        self._last_a: int | None = None
+        self._numbers = [0, 0]
+        self._before_a = self._since_a = self._before_b = 0
+
+    def take(self, side: int, time: int, message: Message) -> None:
+        """The next message of A (0) or B (1)."""
+        self._numbers[side] += 1
+        moment = _Moment(self._paths[side], time, self._numbers[side], message)
+        if self.out.identical:
+            self._unpaired[side].append(moment)
+            if self._unpaired[1 - side]:
+                self._match(*(queue.popleft() for queue in self._unpaired))
+        if side == 0:
+            self._last_a, self._since_a = time, 0
+            self._waiting.append(moment)
+        else:
+            self._before_a += self._last_a is None
+            self._since_a += self._last_a is not None and time > self._last_a
+            self._take_b(moment)
+
+    def finish(self, overlap: bool) -> None:
+        """All messages are in: the verdict."""
+        out = self.out
+        for side, queue in enumerate(self._unpaired):
+            if queue:
+                self._differs(queue[0], f"only in {'AB'[side]}")
+        for i, difference in enumerate(out.differences):
+            difference.rms = math.sqrt(self._squares[i] / self._rows[i]) if self._rows[i] else 0.0
+        after_b = len(self._waiting)
+        out.outside = (self._before_b + after_b, self._before_a + self._since_a) if out.compared else out.messages
+        if self.tolerance is None:
+            out.equal = out.identical
+        elif self._kind is not None:
+            out.equal = out.first is None
+            if sum(out.outside) and (not overlap or not out.compared):
+                out.equal = False
+                out.first = out.first or f"{out.outside[0]} messages of A and {out.outside[1]} of B have no counterpart"
+
+    def _match(self, a: _Moment, b: _Moment) -> None:
+        """The k-th messages of both: are they the same?"""
+        for what in ("data", "log_time", "publish_time", "sequence"):
+            if getattr(a.message, what) != getattr(b.message, what):
+                self._differs(a, _WORDS[what])
+                return
+
+    def _differs(self, moment: _Moment, what: str) -> None:
+        """The bags are not bit-identical from here on."""
+        self.out.identical = False
+        if self.tolerance is None:
+            self.out.first = _when(moment, what)
+        for queue in self._unpaired:
+            queue.clear()
+
+    def _take_b(self, after: _Moment) -> None:
+        """Compares what of A waits for B up to the time of `after`; of equal times one with one."""
+        before = self._before
+        while self._waiting and self._waiting[0].time < after.time:
+            a = self._waiting.popleft()
+            if before is None:
+                self._before_b += 1
+            else:
+                self._compare(a, before, after, (a.time - before.time) / (after.time - before.time))
+        if self._waiting and self._waiting[0].time == after.time:
+            self._compare(self._waiting.popleft(), after, after, 0.0)
+        self._before = after
+
+    def _compare(self, a: _Moment, before: _Moment, after: _Moment, share: float) -> None:
+        self.out.compared += 1
+        kind = self._kind
+        if kind is None:
+            return
+        one = a.value(kind)
+        same = share == 0.0 and a.message.data == before.message.data
+        low = one if same else before.value(kind)
+        high = after.value(kind) if share > 0.0 else low
+        for i, difference in enumerate(self.out.differences):
+            turn = kind.quantities[i] == _TURN
+            difference.peak = max(difference.peak, _largest(one.parts[i], turn))
+            self._rows[i] += len(one.parts[i])
+            if same:
+                continue
+            apart = _apart_by(one, low, high, share, i, turn)
+            largest = float(apart.max(initial=0.0))
+            self._squares[i] += float(apart @ apart)
+            if largest > difference.max:
+                difference.max, difference.max_time = largest, 1e-9 * a.time
+            if self.tolerance is not None and largest > self.tolerance and self.out.first is None:
+                self.out.first = _when(a, f"{difference.quantity} by {largest:.3g} {difference.unit}")
+
+
+_WORDS = {"data": "bytes", "log_time": "log time", "publish_time": "publish time", "sequence": "number"}
+
+
+def _when(moment: _Moment, what: str) -> str:
+    return f"{what} at {1e-9 * moment.time:.6f} s (message {moment.number})"
+
+
+def _apart_by(one: _Value, low: _Value, high: _Value, share: float, i: int, turn: bool) -> Floats:
+    """(n,) distances of part i of `one` from what lies between `low` and `high`; inf where there is none."""
+    a, b, c = one.parts[i], low.parts[i], high.parts[i]
+    if not (a.shape == b.shape == c.shape and one.frame == low.frame == high.frame):
+        return np.full(max(len(a), 1), np.inf)
+    if turn:
+        a, b, c = (q / np.linalg.norm(q, axis=1, keepdims=True) for q in (a, b, c))
+        c = np.where((b * c).sum(axis=1, keepdims=True) < 0.0, -c, c)
+    between = (1.0 - share) * b + share * c if share > 0.0 else b
+    if turn:
+        chord = np.minimum(np.linalg.norm(a - between, axis=1), np.linalg.norm(a + between, axis=1))
+        apart = 4.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
+    else:
+        apart = np.linalg.norm(a - between, axis=1)
+    return np.where(np.isnan(apart), np.inf, apart)
+
+
+def _largest(part: Floats, turn: bool) -> float:
+    """Length of the longest row; of a turn its angle from the identity [rad]."""
+    if turn:
+        vector, scalar = np.linalg.norm(part[:, :3], axis=1), np.abs(part[:, 3])
+        return float(2.0 * np.arctan2(vector, scalar).max(initial=0.0))
+    return float(np.linalg.norm(part, axis=1).max(initial=0.0))
+
+
+def verdict(found: Comparison) -> tuple[Table, str]:
+    """A table of what differs, and the verdict in words."""
+    rows = table(
+        "topic", "messages of A", "of B", "compared", "identical", "quantity", "rms", "max", "at [s]", "peak of A",
+        "first difference",
+    )  # fmt: skip
+    for topic in found.topics:
+        head = (topic.name, *map(str, topic.messages), str(topic.compared), "yes" if topic.identical else "no")
+        first = topic.first or ""
+        shown = [_numbers(difference) for difference in topic.differences] if topic.compared else []
+        for numbers in shown or [("",) * 5]:
+            rows.add_row(*head, *numbers, first)
+            head, first = ("",) * 5, ""
+    how = "bit by bit" if found.tolerance is None else f"within {found.tolerance:g}"
+    different = [topic.name for topic in found.topics if not topic.equal]
+    return rows, f"not equal {how}: {', '.join(different)}" if different else f"equal {how}"
+
+
+def _numbers(difference: Difference) -> tuple[str, ...]:
+    unit = "" if difference.unit == "1" else f" {difference.unit}"
+    at = f"{difference.max_time:.6f}" if difference.max > 0.0 else ""
+    return (
+        difference.quantity,
+        f"{difference.rms:.3g}{unit}",
+        f"{difference.max:.3g}{unit}",
+        at,
+        f"{difference.peak:.3g}{unit}",
+    )

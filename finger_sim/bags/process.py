@@ -1,0 +1,148 @@
+"""A process that writes bags, one after the other, for another that must not wait.
+
+`python -m finger_sim.bags.process DESCRIPTOR` takes messages from the Ring in that file. Its standard input says what
+to do, its standard output what came of it; both are lines of JSON. An `Order` begins a bag, and {} finishes it when
+all messages put before are in it. The answers are {"opened": true}, {"closed": true}, and {"error": why the bag
+ended}.
+
+When the other process is gone its end of the pipe closes, and the bag is finished with all that it put: so this one
+ignores the signals that end a terminal's processes together.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, TypedDict
+
+from ..errors import BagError
+from .ring import Ring
+from .writer import BagWriter, Qos
+
+TAKE_PERIOD = 0.01
+"""Time between two looks at the ring during a recording [s]."""
+FLUSH_PERIOD = 0.4
+"""Longest time that a message stays in the memory of this process [s]."""
+NICENESS = 5
+"""Added to the other process's: where the cores are busy, steps come first."""
+
+
+class OrderedTopic(TypedDict):
+    """A topic to announce; messages carry its place in the order as their number."""
+
+    name: str
+    type: str
+    definition: tuple[str, str]
+    """Full text and hash of the type."""
+    qos: tuple[int, bool, bool]
+    """Fields of `Qos`."""
+
+
+class Order(TypedDict):
+    """The bag to make."""
+
+    path: str
+    topics: list[OrderedTopic]
+    options: dict[str, Any]
+    """Of BagWriter."""
+
+
+class Scribe:
+    """Writes what is in the ring; `answer` is told what came of an order."""
+
+    def __init__(self, ring: Ring, answer: Callable[[dict[str, Any]], None]) -> None:
+        self._ring, self._answer = ring, answer
+        self._bag: BagWriter | None = None
+        self._topics: list[str] = []
+        self._flushed = 0.0
+
+    @property
+    def busy(self) -> bool:
+        """Whether there is a bag to write."""
+        return self._bag is not None
+
+    def obey(self, order: Order | None) -> None:
+        """Begins a bag, or finishes it."""
+        self._safely(self._finish if order is None else lambda: self._begin(order))
+
+    def write(self) -> None:
+        """Writes what is in the ring; what has been in memory for long goes to the operating system."""
+        self._safely(self._write)
+
+    def _safely(self, do: Callable[[], object]) -> None:
+        """Whatever goes wrong ends the bag and is told."""
+        try:
+            do()
+        except Exception as error:
+            bag, self._bag = self._bag, None
+            reason = str(error) if isinstance(error, BagError) else repr(error)
+            if bag is not None:
+                bag.abort()
+                reason = reason if isinstance(error, BagError) else f"{bag.path}: {reason}"
+            self._answer({"error": reason})
+
+    def _begin(self, order: Order) -> None:
+        self._ring.begin_anew()
+        self._bag = BagWriter(order["path"], **order["options"])
+        self._topics = [topic["name"] for topic in order["topics"]]
+        for topic in order["topics"]:
+            text, type_hash = topic["definition"]
+            self._bag.add_topic(topic["name"], topic["type"], qos=Qos(*topic["qos"]), definition=(text, type_hash))
+        self._answer({"opened": True})
+
+    def _write(self) -> None:
+        if self._bag is None:
+            return
+        for topic, sequence, log_time, data in self._ring.take():
+            self._bag.write(self._topics[topic], data, log_time, sequence=sequence)
+        if time.monotonic() - self._flushed >= FLUSH_PERIOD:
+            self._bag.flush()
+            self._flushed = time.monotonic()
+
+    def _finish(self) -> None:
+        if self._bag is not None:
+            self._write()
+            self._bag.close()
+            self._bag = None
+            self._answer({"closed": True})
+
+
+def main() -> int:
+    """Serves until the other end closes; 0."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    os.nice(NICENESS)
+    ring = Ring(int(sys.argv[-1]))
+    ring.touch()
+    answers = os.dup(1)
+    os.dup2(2, 1)  # what a library prints is no answer
+
+    def answer(what: dict[str, Any]) -> None:
+        with contextlib.suppress(BrokenPipeError):  # nobody is left to hear it
+            os.write(answers, json.dumps(what).encode() + b"\n")
+
+    scribe = Scribe(ring, answer)
+    orders = select.poll()
+    orders.register(0, select.POLLIN)
+    heard = b""
+    while True:
+        if orders.poll(1e3 * TAKE_PERIOD if scribe.busy else None):
+            data = os.read(0, 1 << 16)
+            if not data:
+                break
+            *lines, heard = (heard + data).split(b"\n")
+            for line in lines:
+                scribe.obey(json.loads(line) or None)
+        scribe.write()
+    scribe.obey(None)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,126 @@
+"""Command → bone, and what a device is asked to render.
+
+Kinematic coupling: the driven nodes follow the commanded pose exactly. Virtual coupling: they are a rigid body on a
+damped spring to it (physics/bone.py). Both no faster than the scene allows, so that a jump of the command (a tracker
+that re-acquires, a first message from afar) gives a bounded motion.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..arrays import Floats
+from ..bags.layout import place
+from ..physics.rotations import angle, rotation_vector, slerp
+from ..scene import Coupling, Pose, Vec3
+
+LONGEST = 0.1
+"""Most time that a command, or a target of the plane, counts as having taken since the one before [s]."""
+
+
+def follow(coupling: Coupling, pose: Pose, command: Pose, dt: float) -> tuple[Pose, bool]:
+    """The pose after `dt` [s] on the way from `pose` to `command`, and whether a speed limit held it back."""
+    fraction = 1.0
+    distance = math.dist(pose.position, command.position)
+    turn = angle(pose.orientation, command.orientation) if pose.orientation != command.orientation else 0.0
+    if distance > coupling.max_speed * dt:
+        fraction = coupling.max_speed * dt / distance
+    if turn > coupling.max_angular_speed * dt:
+        fraction = min(fraction, coupling.max_angular_speed * dt / turn)
+    return (command, False) if fraction == 1.0 else (between(pose, command, fraction), True)
+
+
+def stop_at_plane(normal: Vec3, point: Vec3, centre: Vec3, start: Pose, end: Pose) -> tuple[Pose, bool]:
+    """Where a bone comes on its way from `start` to `end`, its centre not past the plane; whether that stopped it.
+
+    normal: unit, outward; point: of the plane [m], world. centre: the mean of the driven nodes, as read [m].
+    A bone that is past the plane already may not go deeper.
+    """
+    after = _height(normal, point, centre, end)
+    if after >= 0.0:
+        return end, False
+    before = _height(normal, point, centre, start)
+    if after >= before:
+        return end, False
+    return between(start, end, before / (before - after) if before > 0.0 else 0.0), True
+
+
+def set_down(normal: Vec3, point: Vec3, centre: Vec3, points: Floats, pose: Pose) -> Pose:
+    """`pose`, or where the bone's centre is past the plane there: the one right above it whose body touches the plane.
+
+    For a bone that yields: contact would throw it out at its depth over dt. points: (n, 3) of the body, as read [m].
+    """
+    if _height(normal, point, centre, pose) >= 0.0:
+        return pose
+    lowest = float((place(points, pose) @ np.array(normal)).min() - np.dot(normal, point))
+    x, y, z = (c - lowest * n for c, n in zip(pose.position, normal, strict=True))
+    return Pose((x, y, z), pose.orientation)
+
+
+def _height(normal: Vec3, point: Vec3, centre: Vec3, pose: Pose) -> float:
+    """Of the bone's centre over the plane [m]."""
+    x, y, z, w = pose.orientation
+    a, b, c = centre
+    s, t, u = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    turned = (a + w * s + y * u - z * t, b + w * t + z * s - x * u, c + w * u + x * t - y * s)
+    return sum(n * (r + p - q) for n, r, p, q in zip(normal, turned, pose.position, point, strict=True))
+
+
+def between(a: Pose, b: Pose, fraction: float) -> Pose:
+    """The pose `fraction` of the way from a to b: position on the line, orientation on the shorter arc."""
+    if fraction == 1.0:
+        return b
+    x, y, z = (p + fraction * (q - p) for p, q in zip(a.position, b.position, strict=True))
+    return Pose((x, y, z), slerp(a.orientation, b.orientation, fraction))
+
+
+class CommandSpeed:
+    """Velocity of a command that comes in jumps, less often than steps.
+
+    A jump's size over the time since the one before, for as long as that took and half as long again, so that commands
+    which come regularly but for some jitter give a steady velocity; then zero. A jump after LONGEST of rest counts
+    as having taken that.
+    """
+
+    def __init__(self) -> None:
+        self.value: Floats = np.zeros(6)
+        self._since = self._holds = 0.0
+
+    def step(self, before: Pose, after: Pose, dt: float) -> Floats:
+        """(6,) linear [m/s] and angular [rad/s] velocity, world, at the end of a step of `dt` [s]."""
+        self._since = min(self._since + dt, LONGEST)
+        if after != before:
+            self.value = np.array(displacement(before, after)) / self._since
+            self._holds, self._since = 1.5 * self._since, 0.0
+        elif self._since > self._holds:
+            self.value = np.zeros(6)
+        return self.value
+
+
+def displacement(start: Pose, end: Pose) -> tuple[float, float, float, float, float, float]:
+    """From pose to pose: way [m] and rotation vector [rad], world axes; the shorter turn."""
+    a, b, c = start.position
+    x, y, z = end.position
+    return (x - a, y - b, z - c, *rotation_vector(start.orientation, end.orientation))
+
+
+def spring_wrench(on_bone: Floats, bone: Pose, command: Pose) -> Floats:
+    """(6,) wrench [N, N m] of a coupling on the device, about the commanded point.
+
+    on_bone: its wrench on the bone, about the bone's origin; all in world axes.
+    """
+    out = -on_bone
+    out[3:] += np.cross(np.array(bone.position) - np.array(command.position), out[:3])
+    return out
+
+
+def device_wrench(coupling: Coupling, wrench: Floats) -> Floats:
+    """A wrench (6,) [N, N m], its force and torque each scaled back to the coupling's limits."""
+    wrench = wrench.copy()
+    for part, limit in ((slice(0, 3), coupling.force_limit), (slice(3, 6), coupling.torque_limit)):
+        size = math.hypot(*wrench[part].tolist())
+        if size > limit:
+            wrench[part] *= limit / size
+    return wrench

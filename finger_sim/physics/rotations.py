@@ -1,0 +1,70 @@
+"""Unit quaternions x y z w, as plain numbers: what a step needs of them, without allocation-heavy libraries."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..arrays import Floats
+
+Quaternion = tuple[float, float, float, float]
+
+ZERO_NORM = 1e-9
+"""A quaternion shorter than this has no direction: it is refused as zero."""
+
+
+def matrix(q: Quaternion) -> Floats:
+    """Rotation matrix (3, 3) of a unit quaternion."""
+    x, y, z, w = q
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+def normalised(q: Sequence[float]) -> Quaternion:
+    """The unit quaternion of the same rotation; `q` must not be zero. A unit one stays as it is."""
+    x, y, z, w = q
+    norm = math.hypot(x, y, z, w)
+    return (x, y, z, w) if abs(norm - 1.0) < 4.5e-16 else (x / norm, y / norm, z / norm, w / norm)
+
+
+def angle(a: Quaternion, b: Quaternion) -> float:
+    """Angle between two orientations [rad], 0 to π; q and −q are the same."""
+    apart = math.dist(a, b)
+    opposite = math.hypot(*(i + j for i, j in zip(a, b, strict=True)))
+    return 4.0 * math.atan2(min(apart, opposite), max(apart, opposite))
+
+
+def rotation_vector(a: Quaternion, b: Quaternion) -> tuple[float, float, float]:
+    """The shorter rotation from a to b, as axis times angle [rad], in the axes that both are given in."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    x = bx * aw - bw * ax - by * az + bz * ay
+    y = by * aw - bw * ay - bz * ax + bx * az
+    z = bz * aw - bw * az - bx * ay + by * ax
+    w = bw * aw + bx * ax + by * ay + bz * az
+    size = math.hypot(x, y, z)
+    if a == b or size == 0.0:
+        return 0.0, 0.0, 0.0
+    factor = 2.0 * math.atan2(size, abs(w)) / math.copysign(size, w)
+    return factor * x, factor * y, factor * z
+
+
+def slerp(a: Quaternion, b: Quaternion, fraction: float) -> Quaternion:
+    """The orientation `fraction` of the shorter way from a to b (Shoemake 1985)."""
+    dot = sum(i * j for i, j in zip(a, b, strict=True))
+    if dot < 0.0:
+        b, dot = (-b[0], -b[1], -b[2], -b[3]), -dot
+    half = math.acos(min(1.0, dot))
+    if half < 1e-6:
+        wa, wb = 1.0 - fraction, fraction
+    else:
+        wa, wb = math.sin((1.0 - fraction) * half) / math.sin(half), math.sin(fraction * half) / math.sin(half)
+    x, y, z, w = (wa * i + wb * j for i, j in zip(a, b, strict=True))
+    return normalised((x, y, z, w))

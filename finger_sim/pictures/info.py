@@ -1,0 +1,194 @@
+"""What a scene, a bag or a mesh holds, as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.table import Table
+
+from ..bags.reader import BagReader
+from ..console import table
+from ..errors import FingerSimError
+from ..scene import Limits, Plane, Scene, locking
+from ..scene.fields import to_dict
+from ..scene.mesh import TetMesh
+from ..scene.resources import find_bag, find_scene, shipped
+
+SCENES, BAGS = (".yaml", ".yml"), (".mcap", ".db3")
+
+
+def info(name: str) -> Iterator[tuple[str, Table]]:
+    """Titles and tables about a file, or a shipped scene, bag or mesh by its name.
+
+    Raises FingerSimError when there is no such thing, or it is broken.
+    """
+    scene, bag, mesh = find_scene(name), find_bag(name), shipped("config") / name
+    if scene.name == "metadata.yaml":
+        yield from _bag(scene.parent)
+    elif scene.is_file() and scene.suffix in SCENES:
+        yield from _scene(scene)
+    elif bag.is_dir() or (bag.is_file() and bag.suffix in BAGS):
+        yield from _bag(bag)
+    elif Path(name).is_file():
+        yield from _mesh(Path(name))
+    elif mesh.is_file():
+        yield from _mesh(mesh)
+    else:
+        scenes = ", ".join(sorted(path.stem for path in shipped("config").glob("*.yaml")))
+        bags = ", ".join(sorted(path.name for path in shipped("bags").iterdir() if path.is_dir()))
+        raise FingerSimError(
+            f"{name}: no such file; give a scene (.yaml), a bag (folder, .mcap) or a mesh, "
+            f"or a shipped scene ({scenes}) or bag ({bags})"
+        )
+
+
+def _mesh(path: Path) -> Iterator[tuple[str, Table]]:
+    yield f"mesh {path}", _pairs(TetMesh.load(path).summary())
+
+
+def _bag(path: Path) -> Iterator[tuple[str, Table]]:
+    reader = BagReader(path)
+    facts = {
+        "duration": f"{reader.duration:.3f} s",
+        "messages": str(reader.message_count),
+        "whole": f"no: {reader.warning}" if reader.truncated else "yes",
+        "numbers missing": str(sum(topic.lost for topic in reader.topics)),
+    }
+    yield f"bag {path}", _pairs(facts)
+    times: dict[str, list[int]] = {topic.name: [] for topic in reader.topics}
+    for message in reader:
+        times[message.topic].append(message.log_time)
+    topics = table("topic", "type", "messages", "rate [Hz]", "longest gap [s]", "lost")
+    for topic in reader.topics:
+        intervals = np.diff(np.array(times[topic.name])) * 1e-9
+        usual = float(np.median(intervals)) if len(intervals) else 0.0
+        topics.add_row(
+            topic.name,
+            topic.type,
+            str(topic.count),
+            f"{1.0 / usual:.4g}" if usual > 0.0 else "–",
+            f"{intervals.max():.3g}" if len(intervals) else "–",
+            str(topic.lost),
+        )
+    yield "topics", topics
+
+
+def _scene(path: Path) -> Iterator[tuple[str, Table]]:
+    scene = Scene.load(path)
+    mesh = scene.load_mesh()
+    driven = len(scene.driven_nodes(mesh))
+    material = scene.material
+    facts = {
+        "mesh": scene.mesh.file or f"beam, {_numbers(scene.mesh.beam)}",
+        "tets, nodes": f"{len(mesh.tets)}, {len(mesh.points)}",
+        "driven": f"{driven} nodes ({to_dict(scene)['driven']})" if driven else "nothing: a free body",
+        "free": f"{len(mesh.points) - driven} nodes",
+        "material": f"E {material.young:g} Pa, ν {material.poisson:g}, {material.density:g} kg/m³, "
+                    f"damping {material.damping.mass:g} 1/s · M + {material.damping.stiffness:g} s · K",
+        "limits": _limits(scene.limits),
+        "plane": _plane(scene.plane),
+        "solver": f"{scene.solver.method}, tolerance {scene.solver.tolerance:g}, "
+                  f"at most {scene.solver.max_iterations} iterations",
+        "dt": f"{scene.dt:g} s ({1.0 / scene.dt:g} Hz)"
+              + (f" in {scene.substeps} substeps" if scene.substeps > 1 else ""),
+        "arrays": f"{_memory(scene, mesh) / 2**20:.1f} MiB",
+    }  # fmt: skip
+    yield f"scene {path}", _pairs(facts)
+    yield "mesh", _pairs(mesh.summary())
+    if scene.limits is not None:
+        yield "over-constraint", _pairs(_locking(scene, scene.limits, mesh))
+    parameters = table("name", "value", "unit", "live", "meaning")
+    for name, value, spec in ((p.name, p.value, p.spec) for p in scene.parameters()):
+        parameters.add_row(name, _plain(value), spec.unit, "live" if spec.live else "", spec.doc)
+    yield "parameters", parameters
+
+
+def _locking(scene: Scene, limits: Limits, mesh: TetMesh) -> dict[str, str]:
+    """What may lock, before a run."""
+    is_free = np.ones(len(mesh.points), bool)
+    is_free[scene.driven_nodes(mesh)] = False
+    counted = locking.count(limits, is_free[mesh.tets].sum(axis=1), int(is_free.sum()))
+    stiffness = locking.bulk_to_shear(scene.material)
+    stiff = stiffness >= locking.STIFF_BULK
+    strain, volume = locking.isochoric_strain(limits), locking.volume_at_limit(limits)
+    facts = {
+        "rows against freedoms": f"up to {counted.rows_each} rows a tetrahedron, on {locking.STRAINS} strains at most: "
+        f"{counted.crowded} tetrahedra can have more rows than ways to deform; "
+        f"one row each are {counted.rows} rows on {counted.freedoms} freedoms of the mesh",
+        "bulk against shear": f"K/μ = {stiffness:.3g} at ν {scene.material.poisson:g}: "
+        + ("stiff, so volume is all but kept" if stiff else "not stiff, so volume gives"),
+    }
+    for side, word, sign in ((0, "stretch", 1.0), (1, "compression", -1.0)):
+        for j in np.flatnonzero(np.isfinite(strain[side])):
+            reached = f"s{j + 1} = {1.0 + sign * strain[side, j]:.4g}"
+            end = "no limit of its own" if np.isnan(volume[side, j]) else f"at its limit V/V₀ = {volume[side, j]:.4g}"
+            facts[f"{word} along e{j + 1}"] = (
+                f"at constant volume the other limits end it at {reached}; {end}"
+                + (": locks beyond" if stiff else "")
+            )  # fmt: skip
+    if not np.isfinite(strain).any():
+        facts["limits against volume"] = "every limit can be met at constant volume"
+    return facts
+
+
+def _memory(scene: Scene, mesh: TetMesh) -> int:
+    """Bytes of the arrays that a simulation of the scene owns."""
+    from ..physics.model import build_model, build_state
+
+    model = build_model(scene, mesh)
+    return _bytes(model) + _bytes(build_state(model, mesh.points))
+
+
+def _bytes(record: NamedTuple) -> int:
+    """Bytes of the arrays in a record and the records within."""
+    size = 0
+    for value in record:
+        if isinstance(value, np.ndarray):
+            size += value.nbytes
+        elif isinstance(value, tuple) and hasattr(value, "_fields"):
+            size += _bytes(value)  # type: ignore[arg-type]
+    return size
+
+
+def _limits(limits: Limits | None) -> str:
+    if limits is None:
+        return "none"
+    ranges = (
+        f"{'free' if low is None else f'{low:g}'} … {'free' if high is None else f'{high:g}'}"
+        for low, high in zip(limits.compress, limits.stretch, strict=True)
+    )
+    axes = ", ".join(f"e{axis} {text}" for axis, text in enumerate(ranges, start=1))
+    stiffness = "rigid" if limits.stiffness is None else f"stiffness {limits.stiffness:g} E"
+    return f"{limits.projection}, stretch along {axes}, {stiffness}"
+
+
+def _plane(plane: Plane | None) -> str:
+    if plane is None:
+        return "none"
+    return f"through {_plain(plane.point)} m, normal {_plain(plane.normal)}, friction {plane.friction:g}"
+
+
+def _numbers(part: Any) -> str:
+    return ", ".join(f"{name} {_plain(value)}" for name, value in to_dict(part).items())
+
+
+def _plain(value: Any) -> str:
+    """A value as a scene file would have it."""
+    if hasattr(value, "as_plain"):
+        return str(value.as_plain())
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_plain(item) for item in value) + "]"
+    if isinstance(value, float):
+        return f"{value:g}"
+    return "null" if value is None else str(value)
+
+
+def _pairs(pairs: Mapping[str, str]) -> Table:
+    """A table of names and texts."""
+    out = table()
+    for name, text in pairs.items():
+        out.add_row(name, text)
+    return out

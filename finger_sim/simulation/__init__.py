@@ -1,0 +1,1 @@
+"""A scene that can be stepped: the simulator, and bags replayed through it."""

@@ -1,0 +1,244 @@
+"""`finger_sim bench`: how long a step takes, always beside how well it was solved; the finger, and peers on it.
+
+Whole steps are timed in one process on one processor: each contender runs its whole motion, one after the other, over
+and over. Peers run without limits, which they do not have; their errors are against our own converged run without.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+import os
+import platform
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...arrays import Ints
+from ...console import gauge
+from ...errors import MissingExtraError
+from ...scene import Scene
+from . import passes, peers
+from .figures import MUJOCO, UNIT_SIZE, Figure, Key, Records, Row, figures, row, unsteadiness
+from .scenes import (
+    CANTILEVER,
+    CANTILEVER_FINER,
+    CANTILEVER_STEPS,
+    MESHES,
+    SCALES,
+    BenchError,
+    Motion,
+    Ours,
+    Record,
+    Runner,
+    Theirs,
+    converged,
+    fall,
+    finger_scene,
+    press_and_slide,
+    touch_height,
+)
+
+Makers = Mapping[str, Callable[[peers.PeerCase], peers.Peer]]
+
+CONTENDERS = {
+    350: [("limits", "newton"), ("limits", "lagged"), ("limits", "pgs"), ("limited", "newton"),
+          ("limited", "lagged"), ("limited", "pgs"), ("no limits", "newton")],
+    2000: [("limits", "newton"), ("limits", "lagged"), ("limited", "newton")],
+    10000: [("limits", "newton"), ("limits", "lagged"), ("limited", "newton")],
+}  # fmt: skip
+"""Our own at each size: (scene, solver)."""
+STAGED = [("limits", "newton"), ("limits", "lagged"), ("limited", "newton")]
+"""Of which the stages are timed."""
+STEADY = 2.0
+"""p99/median of fixed work beyond which a machine is too noisy to judge that of a step."""
+NEO_HOOKEAN = "MuJoCo nH"
+"""Name of MuJoCo with its other material."""
+START_SCENE = "finger_haptic"
+"""Shipped scene that `starts` builds."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to run."""
+
+    sizes: tuple[int, ...] = (350, 2000, 10000)
+    repeats: int = 3
+    scale: float = 1.0  # of the steps that SCALES leaves
+    cpu: int | None = None  # None: the last allowed one
+    peers: bool = True
+    startup: bool = True
+
+    def check(self) -> None:
+        """Raises BenchError naming the option."""
+        for size in self.sizes:
+            if size not in MESHES:
+                raise BenchError(f"--sizes: got {size}, allowed: {', '.join(map(str, MESHES))}")
+        if not self.sizes:
+            raise BenchError(f"--sizes: got nothing, allowed: {', '.join(map(str, MESHES))}")
+        if self.repeats < 1:
+            raise BenchError(f"--repeats: got {self.repeats}, allowed: a whole number ≥ 1")
+        if not 0.0 < self.scale <= 100.0:
+            raise BenchError(f"--steps: got {self.scale}, allowed: above 0, to 100")
+
+
+QUICK = Options(sizes=(350,), repeats=1, startup=False)
+"""Half a minute."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """All that was measured."""
+
+    machine: dict[str, Any]
+    rows: list[Row]
+    cantilever: list[Row]
+    stages: list[dict[str, Any]]  # size, scene, contender, phase, and microseconds of each stage a step: <stage>_us
+    figures: list[Figure]
+    peers: dict[str, str]  # name: what it is, or why it is missing
+
+
+def bench(options: Options) -> Report:
+    """Run it all. Raises BenchError when an option cannot be met."""
+    options.check()
+    with passes.pinned(options.cpu):
+        pass  # a mistake shows before anything long
+    machine, extras, stages = describe_machine(), dict[str, tuple[float, str]](), list[dict[str, Any]]()
+    if options.startup:
+        extras |= _starts()
+    records = Records()
+    found = peers.available() if options.peers else {}
+    said = peers.missing() if options.peers else dict.fromkeys(peers.missing() | peers.available(), "not asked for")
+    said = {name: f"missing: {reason}" if options.peers else reason for name, reason in said.items()}
+    with passes.pinned(options.cpu) as cpu:
+        machine["cpu_index"] = cpu
+        for size in sorted(set(options.sizes)):
+            said |= _finger(size, options, _with_neo_hookean(found) if size == UNIT_SIZE else {}, records)
+            stages += _stages(size, options)
+        cantilever = _cantilever(options, found)
+        if UNIT_SIZE in options.sizes:
+            extras |= _steadiness(options)
+    return Report(machine, records.rows(), cantilever, stages, figures(records, extras), said)
+
+
+def describe_machine() -> dict[str, Any]:
+    """Date, processor and versions."""
+    cpu = platform.processor() or platform.machine()
+    if (info := Path("/proc/cpuinfo")).is_file():
+        models = [line for line in info.read_text().splitlines() if line.startswith("model name")]
+        cpu = models[0].partition(":")[2].strip() if models else cpu
+    versions = {"python": platform.python_version()}
+    for name in ("finger_sim", "numpy", "numba", "mujoco", "drake"):
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "not installed"
+    return {
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "cpu": cpu,
+        "cpus_allowed": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "load_average": list(os.getloadavg()),
+        "system": platform.platform(),
+        "versions": versions,
+    }
+
+
+def _motion(size: int, options: Options) -> Motion:
+    scene = finger_scene(size, "limits")
+    return press_and_slide(touch_height(scene), scene.dt, options.scale * SCALES.get(size, 1.0))
+
+
+def _finger(size: int, options: Options, found: Makers, records: Records) -> dict[str, str]:
+    """The contenders of one size into `records`; gives the full names of the peers."""
+    motion = _motion(size, options)
+    keys = [Key(size, limits, solver) for limits, solver in CONTENDERS[size]]
+    with gauge(f"{size} tetrahedra: converged runs to compare with"):
+        reference = {key.scene: _reference(finger_scene(size, key.scene), motion) for key in keys}
+    with gauge(f"{size} tetrahedra: {options.repeats} repetitions of {len(motion.poses)} steps") as meter:
+        runners: dict[Key, Runner] = {key: Ours(finger_scene(size, key.scene, key.contender), motion) for key in keys}
+        bare, names = finger_scene(size, "no limits"), {}
+        for name, make in found.items():
+            try:
+                peer = Theirs(bare, motion, make)
+            except MissingExtraError as error:
+                names[name] = f"missing: {error}"
+                continue
+            runners[Key(size, "no limits", name)], names[name] = peer, peer.name
+        came = passes.interleaved(runners, options.repeats, meter)
+    records.of |= came
+    records.reference |= {key: reference[key.scene] for key in came}
+    records.phase[size] = motion.phase
+    return names
+
+
+def _with_neo_hookean(found: Makers) -> Makers:
+    """Next to MuJoCo's other material: the two bracket ours."""
+    return {**found, NEO_HOOKEAN: partial(peers.mujoco_peer, neo_hookean=True)} if MUJOCO in found else found
+
+
+def _reference(scene: Scene, motion: Motion, tip: Ints | None = None) -> Record:
+    return passes.once(Ours(scene=converged(scene), motion=motion, tip=tip), lambda done, total: None)
+
+
+def _stages(size: int, options: Options) -> list[dict[str, Any]]:
+    motion, out = _motion(size, options), []
+    for limits, solver in STAGED:
+        with gauge(f"{size} tetrahedra: stages of {solver}, {limits}") as meter:
+            runner = Ours(finger_scene(size, limits, solver), motion, timed=True)
+            for phase, spent in passes.stages(runner, meter).items():
+                row = {"size": size, "phase": phase, "scene": limits, "contender": solver}
+                out.append(row | {f"{stage}_us": 1e6 * seconds for stage, seconds in spent.items()})
+    return out
+
+
+def _cantilever(options: Options, found: Makers) -> list[Row]:
+    """The beam falling from rest, ours and the peers; errors of the tip are against ours at a finer time step."""
+    steps = max(1, round(CANTILEVER_STEPS * min(1.0, options.scale)))
+    scene = Scene.load(CANTILEVER).with_values({"solver.method": "newton"})
+    points = scene.load_mesh().points
+    tip, motion = np.flatnonzero(points[:, 0] >= points[:, 0].max() - 1e-9), fall(steps)
+    with gauge(f"cantilever: {options.repeats} repetitions of {steps} steps") as meter:
+        reference = _reference(scene.with_values({"substeps": CANTILEVER_FINER}), motion, tip)
+        runners: dict[str, Runner] = {"newton": Ours(scene, motion, tip)}
+        runners |= {name: Theirs(scene, motion, make, tip) for name, make in found.items()}
+        records = passes.interleaved(runners, options.repeats, meter)
+    theirs = records[MUJOCO].seconds if MUJOCO in records else np.empty((0, 0))
+    everything = np.ones(steps, np.bool_)
+    tets = len(scene.load_mesh().tets)
+    return [
+        row(Key(tets, "cantilever", name), "fall", record, reference, everything, theirs)
+        for name, record in records.items()
+    ]
+
+
+def _steadiness(options: Options) -> dict[str, tuple[float, str]]:
+    """The figures that look at single steps of the smallest finger."""
+    runner = Ours(finger_scene(UNIT_SIZE, "limits"), _motion(UNIT_SIZE, options))
+    with gauge("p99 beside fixed work") as meter:
+        ours, work = passes.steadiness(runner, options.repeats, meter)
+    both = unsteadiness(ours), unsteadiness(work)
+    medians = [1e6 * float(np.median(times)) for times in (ours, work)]
+    note = f"{len(ours)} steps of {medians[0]:.0f} µs: {both[0]:.2f}; work of {medians[1]:.0f} µs: {both[1]:.2f}"
+    steady = both[1] <= STEADY
+    if not steady:
+        note += f": {both[0] / both[1]:.2f}, but too noisy to tell"
+    counted = passes.allocations(runner)
+    return {
+        "p99": (both[0] / both[1] if steady else math.nan, note),
+        "allocations": (math.nan if counted is None else counted, "numba's count, whole motion but 10 steps"),
+    }
+
+
+def _starts() -> dict[str, tuple[float, str]]:
+    with gauge("start of a process with nothing compiled, then compiled before") as meter:
+        cold, cached = passes.starts(START_SCENE, 3, meter)
+    spread = f"{min(cached):.2f} to {max(cached):.2f} s"
+    return {
+        "cold": (cold, f"Simulator(Scene.load({START_SCENE!r})), import included; once"),
+        "cached": (float(np.median(cached)), f"the same, median of {len(cached)}, {spread}"),
+    }

@@ -1,0 +1,1 @@
+"""Are the paper's experiments reproduced?"""

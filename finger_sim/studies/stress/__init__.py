@@ -1,0 +1,1 @@
+"""Does anything break at the extremes?"""

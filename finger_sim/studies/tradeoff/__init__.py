@@ -1,0 +1,1 @@
+"""What does each setting cost, and what does it give up?"""

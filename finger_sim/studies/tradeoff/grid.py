@@ -1,0 +1,221 @@
+"""The points of a trade-off study: what is changed in a scene, and what each point's error is measured against.
+
+A grid file (YAML) changes a scene by dotted keys:
+
+    base: {solver.method: newton}                   # changed in every point, and in what they are compared with
+    sweeps:                                         # one value changed at a time
+      dt: [0.0005, 0.001, 0.002]
+    product:                                        # every combination
+      dt: [0.001, 0.002]
+      solver.level: [standard, lagged]
+    points:                                         # these
+      - {solver.method: pgs, solver.max_iterations: 400}
+
+The scene itself, with `base`, is the first point. `finger_sim tradeoff` without a file runs DEFAULT.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ...errors import SceneError
+from ...scene import Scene
+from ...scene.scene import _Loader
+from .errors import TradeoffError
+
+HOW = ("dt", "substeps", "limits.viscosity", "limits.inertia", "plane.stiffness")
+"""Keys that say how a model is solved, as all of `solver` do. All other keys are the model: what is solved.
+
+The plane's stiffness is one of them: a contact gives only while its force changes, and never by more than the inertia
+of a step allows (physics/contact.py). With smaller steps every contact becomes the same rigid one.
+"""
+AWAKE: dict[str, Any] = {"solver.sleep": False}
+"""Steps that are not computed are no measure of anything."""
+REFERENCE: dict[str, Any] = {
+    "solver.method": "newton",
+    "solver.tolerance": 1e-9,
+    "solver.max_iterations": 200,
+    "solver.relinearizations": 2,
+    "solver.level": "standard",
+    "solver.settle": True,
+    "solver.sleep": False,
+    "solver.deadline": None,
+}
+"""How a reference is solved."""
+RIGID: dict[str, Any] = {"solver.method": "pgs", "solver.tolerance": 1e-6, "solver.max_iterations": 5000}
+"""Where limits are rigid, which only pgs solves."""
+CONTACT = 1e3
+"""plane.stiffness of a reference."""
+FINE: tuple[tuple[int, float, int], ...] = ((1000, 2.5e-4, 8), (4000, 5e-4, 4), (10**9, 1e-3, 1))
+"""Time steps of a reference: up to how many tetrahedra, dt [s], substeps."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One scene of the study."""
+
+    scene: Scene
+    name: str  # of the shipped scene or the file
+    changed: Mapping[str, Any]  # dotted keys, besides the base
+
+    @property
+    def knob(self) -> str:
+        """The key that was changed; several as `several`, none as `base`. A cap comes with a method."""
+        keys = list(self.changed)
+        if keys == ["solver.method", "solver.max_iterations"]:
+            return "solver.method"
+        return keys[0] if len(keys) == 1 else "several" if keys else "base"
+
+    @property
+    def value(self) -> str:
+        """What it was changed to, in words."""
+        if self.knob in self.changed:
+            return _word(self.changed[self.knob])
+        return ", ".join(f"{key.rpartition('.')[2]} {_word(value)}" for key, value in self.changed.items())
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Changes to a scene by dotted keys; see above."""
+
+    base: Mapping[str, Any] = field(default_factory=dict)
+    sweeps: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    product: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    points: Sequence[Mapping[str, Any]] = ()
+    fits_all: bool = False  # what a scene refuses is left out, and finger meshes where it is no such finger
+
+    def changes(self) -> Iterator[dict[str, Any]]:
+        """What each point changes, besides the base."""
+        yield {}
+        for key, values in self.sweeps.items():
+            yield from ({key: value} for value in values)
+        if self.product:
+            for values in itertools.product(*self.product.values()):
+                yield dict(zip(self.product, values, strict=True))
+        yield from (dict(point) for point in self.points)
+
+    @staticmethod
+    def load(path: Path) -> Grid:
+        """Read a grid. Raises TradeoffError naming the file and the key."""
+        try:
+            data = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+        except OSError as error:
+            raise TradeoffError(f"--grid: {path}: cannot be read: {error.strerror}") from None
+        except (yaml.YAMLError, UnicodeDecodeError, SceneError) as error:
+            raise TradeoffError(f"--grid: {path}: not well-formed YAML: {' '.join(str(error).split())}") from None
+        allowed: dict[str, type] = {"base": dict, "sweeps": dict, "product": dict, "points": list}
+        words: dict[type, str] = {dict: "dotted keys and what they become", list: "a list of blocks of dotted keys"}
+        if not isinstance(data, dict) or not data:
+            raise TradeoffError(f"--grid: {path}: got {data!r}, allowed: a block with the keys {', '.join(allowed)}")
+        for key, value in data.items():
+            if key not in allowed:
+                raise TradeoffError(f"--grid: {path}: {key}: no such key; known here: {', '.join(allowed)}")
+            if not isinstance(value, allowed[key]):
+                raise TradeoffError(f"--grid: {path}: {key}: got {value!r}, allowed: {words[allowed[key]]}")
+        for part, name, values in ((p, n, v) for p in ("sweeps", "product") for n, v in data.get(p, {}).items()):
+            if not isinstance(values, list) or not values:
+                raise TradeoffError(f"--grid: {path}: {part}.{name}: got {values!r}, allowed: a list of values")
+        if not all(isinstance(point, dict) for point in data.get("points", ())):
+            raise TradeoffError(f"--grid: {path}: points: allowed: {words[list]}")
+        return Grid(**data)
+
+
+DEFAULT = Grid(
+    sweeps={
+        "dt": [2.5e-4, 5e-4, 2e-3, 4e-3, 1e-2],
+        "substeps": [2, 4, 8],
+        "solver.tolerance": [1e-1, 1e-2, 1e-4, 1e-6],
+        "solver.max_iterations": [1, 2, 3, 4],
+        "solver.relinearizations": [1, 2, 4],
+        "solver.level": ["lagged"],
+        "limits.stiffness": [3.0, 10.0, 30.0, 300.0],
+        "limits.viscosity": [0.0, 2.0, 32.0],
+        "plane.stiffness": [10.0, 30.0, 120.0, 250.0, 1000.0],
+        "limits.projection": ["hyperbolic", "orthogonal", "linear"],
+    },
+    points=(
+        {"solver.method": "newton", "solver.max_iterations": 30},
+        {"solver.method": "pgs", "solver.max_iterations": 400},
+        {"solver.method": "pgs", "solver.max_iterations": 30},
+        {"solver.method": "pgs", "solver.max_iterations": 400, "dt": 4e-3},
+        {"solver.level": "lagged", "dt": 5e-4},
+        {"solver.level": "lagged", "dt": 2e-3},
+        {"solver.level": "lagged", "substeps": 2},
+        {"solver.level": "lagged", "substeps": 4},
+        {"solver.level": "lagged", "solver.tolerance": 1e-2},
+        {"solver.level": "lagged", "plane.stiffness": 250.0},
+        {"solver.level": "lagged", "plane.stiffness": 250.0, "dt": 2e-3},
+        {"solver.level": "lagged", "plane.stiffness": 250.0, "dt": 4e-3},
+        {"solver.level": "lagged", "plane.stiffness": 1000.0, "substeps": 2},
+        {"solver.level": "lagged", "plane.stiffness": 1000.0, "substeps": 4},
+        {"plane.stiffness": 1000.0, "substeps": 4},
+        {"plane.stiffness": 1000.0, "substeps": 4, "solver.relinearizations": 1},
+        {"plane.stiffness": 1000.0, "substeps": 16, "solver.relinearizations": 1},
+        {"mesh.file": "meshes/finger_2000.vtu"},
+        {"mesh.file": "meshes/finger_2000.vtu", "solver.level": "lagged"},
+        {"mesh.file": "meshes/finger_2000.vtu", "dt": 4e-3},
+        {"mesh.file": "meshes/finger_10000.vtu", "dt": 2e-3},
+    ),
+    fits_all=True,
+)
+"""For the shipped finger scenes; for others what of it fits."""
+FINGER = "finger.vtu"
+"""Mesh that has finer ones of the same body."""
+
+
+def points(name: str, grid: Grid) -> list[Point]:
+    """The points of a scene, each scene once. Raises SceneError when a key is unknown or a value is refused."""
+    base = Scene.load(name).with_values({**AWAKE, **grid.base})
+    out: dict[Scene, Point] = {}
+    for change in grid.changes():
+        if grid.fits_all and "mesh.file" in change and Path(base.mesh.file or "").name != FINGER:
+            continue
+        try:
+            scene = base.with_values(change)
+        except SceneError:
+            if grid.fits_all:
+                continue
+            raise
+        out.setdefault(scene, Point(scene, Path(name).stem, change))
+    return list(out.values())
+
+
+def reference(scene: Scene, base: Scene, tets: int, coarser: int = 1) -> Scene:
+    """The same model, converged: fine in time, solved exactly; `coarser`: so many times the time step.
+
+    Where `HOW` gives a limit its viscosity or inertia, it has those of `base`.
+    """
+    dt, substeps = next((dt, substeps) for most, dt, substeps in FINE if tets <= most)
+    values = REFERENCE | ({} if soft(scene) else RIGID)
+    if scene.plane is not None:
+        values |= {"plane.stiffness": CONTACT}
+    if substeps % coarser == 0:
+        substeps //= coarser
+    else:
+        dt *= coarser
+    values |= {"dt": dt, "substeps": substeps}
+    if scene.limits is not None and base.limits is not None:
+        values |= {"limits.viscosity": base.limits.viscosity, "limits.inertia": base.limits.inertia}
+    return scene.with_values(values)
+
+
+def soft(scene: Scene) -> bool:
+    """Whether limits give way, so that newton solves them."""
+    return scene.limits is None or scene.limits.stiffness is not None
+
+
+def is_how(key: str) -> bool:
+    """Whether a key says how a model is solved."""
+    return key.startswith("solver.") or key in HOW
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    return Path(value).stem if isinstance(value, str) else str(value)

@@ -1,0 +1,122 @@
+"""The presets that the study justifies: finger_haptic, solved in four ways, each with what it was measured to do.
+
+`python -m finger_sim.studies.tradeoff.presets FOLDER` measures and writes them anew: NAME.yaml and claims.yaml,
+which tests/test_tradeoff.py holds them to.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ...errors import FingerSimError
+from ...scene import Scene
+from ..bench.bench import describe_machine
+from .clock import times
+from .grid import AWAKE, reference
+from .measures import Errors, errors, peak_force
+from .motion import Motion, motion
+from .run import Course, course, portable
+from .scene import Measured, write_scene
+from .store import writable
+
+SCENE = "finger_haptic"
+LAGGED = {"solver.level": "lagged"}
+PRESETS: dict[str, tuple[str, Mapping[str, Any]]] = {
+    "fastest": (
+        "for the least computing time: 250 Hz, one stiffness matrix for four steps, a coarse tolerance",
+        {"dt": 4e-3, **LAGGED, "solver.tolerance": 1e-2, "plane.stiffness": 120.0},
+    ),
+    "haptic": (
+        "for 1 kHz with time to spare: one stiffness matrix for four steps, a stiffer contact",
+        {**LAGGED, "plane.stiffness": 250.0},
+    ),
+    "balanced": (
+        "for 1 kHz, between haptic and reference: two steps in the place of one, one stiffness matrix for four of them",
+        {**LAGGED, "plane.stiffness": 400.0, "substeps": 2},
+    ),
+    "reference": (
+        "to compare others with, not for real time: sixteen steps in the place of one, each linearised twice",
+        {
+            "plane.stiffness": 1000.0,
+            "substeps": 16,
+            "solver.tolerance": 1e-6,
+            "solver.max_iterations": 100,
+            "solver.relinearizations": 1,
+        },
+    ),
+}
+"""Name: what it is for, and what it changes in SCENE."""
+
+
+def converged(scene: Scene, path: Motion, coarser: int = 1) -> Course:
+    """The run that presets are compared with."""
+    return course(portable(reference(scene, scene, len(scene.load_mesh().tets), coarser)), path, False)
+
+
+def claim(scene: Scene, path: Motion, against: Course) -> tuple[dict[str, float], Errors, Course]:
+    """What is claimed of a preset and does not depend on the machine; the errors and the run behind it."""
+    own = course(portable(scene.with_values(AWAKE)), path, False)
+    error = errors(own, against, None)
+    claims = {
+        "force_error_rms": error.force_rel,
+        "force_error_max_n": error.force_max_n,
+        "factorisations": float(own.work[0]),
+        "iterations": float(own.work[1]),
+    }
+    return claims, error, own
+
+
+def make_presets(folder: Path) -> list[Path]:
+    """Measure the presets and write them. Raises TradeoffError when they cannot be written."""
+    writable(folder)
+    base = Scene.load(SCENE)
+    path, machine = motion(base, None), describe_machine()
+    against = converged(base, path)
+    doubt = errors(converged(base, path, coarser=2), against, None).force_rel
+    claims: dict[str, Any] = {
+        "scene": SCENE, "motion": path.name, "machine": machine["cpu"], "date": machine["date"],
+        "reference_uncertainty": _short(doubt), "presets": {},
+    }  # fmt: skip
+    made = []
+    for name, (what, values) in PRESETS.items():
+        scene = base.with_values(values)
+        claimed, error, own = claim(scene, path, against)
+        took = times(portable(scene.with_values(AWAKE)), path)
+        claimed |= {"step_median_s": took.median, "step_p99_s": took.p99}
+        claims["presets"][name] = {key: _short(value) for key, value in claimed.items()}
+        measured = Measured(error, doubt, peak_force(own), took)
+        comments = [f"{SCENE}.yaml, {what}.", *measured.sentences(path.name, machine["cpu"])]
+        made.append(write_scene(folder / f"{name}.yaml", scene, comments))
+    head = (
+        "# What the presets were measured to do; a test fails when one does worse by 2 times. Work is for each step.\n"
+    )
+    file = folder / "claims.yaml"
+    file.write_text(head + yaml.safe_dump(claims, sort_keys=False), encoding="utf-8")
+    return [*made, file]
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Makes the presets in a folder."""
+    parser = argparse.ArgumentParser(prog="python -m finger_sim.studies.tradeoff.presets", description=main.__doc__)
+    parser.add_argument("folder", type=Path, help="where to put them: config/presets")
+    try:
+        for path in make_presets(parser.parse_args(arguments).folder):
+            print(path)
+    except FingerSimError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

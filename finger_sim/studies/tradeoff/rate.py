@@ -1,0 +1,146 @@
+"""`finger_sim tradeoff --for-rate HZ`: the most accurate settings of a scene that hold a rate on this machine.
+
+Only how the scene is solved is changed (dt = 1/HZ). A setting holds the rate when 99 of 100 steps take no longer
+than HEADROOM of the period: the rest is for the loop around the step. Of those that hold, the one with the least
+force error; of some that are as good to CLOSE, the fastest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...errors import FingerSimError
+from ...scene import Scene
+from ..bench.bench import describe_machine
+from .clock import Times, times
+from .errors import TradeoffError
+from .grid import AWAKE, reference, soft
+from .measures import Errors, errors, peak_force
+from .motion import Motion, motion
+from .run import Course, course, portable
+from .scene import Measured, write_scene
+from .store import writable
+
+Meter = Callable[[float, float], None]
+
+HEADROOM = 0.8
+CLOSE = 1.05
+SUBSTEPS = (1, 2, 4, 8, 16)
+"""Tried from the first on, until one is too slow."""
+FAST: dict[str, Any] = {"solver.method": "newton", "solver.max_iterations": 30}
+NEWTON: tuple[dict[str, Any], ...] = (
+    {"solver.level": "lagged", "solver.tolerance": 1e-2},
+    {"solver.level": "lagged", "solver.tolerance": 1e-3},
+    {"solver.level": "standard", "solver.tolerance": 1e-3},
+    {"solver.level": "standard", "solver.tolerance": 1e-4},
+    {"solver.level": "standard", "solver.tolerance": 1e-3, "solver.relinearizations": 1},
+)
+PGS: tuple[dict[str, Any], ...] = tuple({"solver.tolerance": tolerance} for tolerance in (1e-1, 1e-2, 1e-3, 1e-4))
+"""Settings tried, fast ones first: where limits give way, and where they are rigid."""
+CONTACT = (250.0, 1000.0)
+"""plane.stiffness tried with each, besides the scene's."""
+
+
+@dataclass(frozen=True)
+class Try:
+    """One setting, timed; `errors` where it holds the rate."""
+
+    changed: Mapping[str, Any]
+    times: Times
+    holds: bool
+    errors: Errors | None = None
+    peak: float = 0.0  # force [N]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What came of the search."""
+
+    tries: list[Try]
+    best: Try  # where none holds, the nearest
+    scene: Path | None  # written; None where none holds
+
+
+def for_rate(name: str, rate: float, bag: str | None, duration: float | None, out: Path, progress: Meter) -> Found:
+    """Search, and write OUT/<scene>_<rate>hz.yaml. Raises SceneError, MeshError, BagError or TradeoffError."""
+    given = Scene.load(name)
+    try:
+        scene = given.with_values({**AWAKE, "dt": 1.0 / rate, "substeps": 1, "solver.relinearizations": 0})
+    except FingerSimError as error:
+        raise TradeoffError(f"--for-rate: got {rate:g} Hz: {error}") from None
+    path = motion(scene, bag, duration)
+    if path.steps(scene.dt) < 3:
+        raise TradeoffError(f"--for-rate: got {rate:g} Hz, allowed: three steps or more in {path.duration:g} s")
+    writable(out)
+    scene = scene.with_values({"solver.level": "standard"})
+    if soft(scene):
+        contact = {"plane.stiffness": CONTACT[-1]} if scene.plane and scene.plane.stiffness is None else {}
+        scene = scene.with_values({**FAST, **contact})
+    tries = search(ladder(scene), lambda changed: _timed(scene, changed, path), scene.dt, progress)
+    if not any(one.holds for one in tries):
+        return Found(tries, choose(tries), None)
+    tets = len(scene.load_mesh().tets)
+    converged, coarser = (course(portable(reference(scene, scene, tets, coarser=k)), path, False) for k in (1, 2))
+    tries = [_with_errors(one, scene, path, converged) if one.holds else one for one in tries]
+    best = choose(tries)
+    assert best.errors is not None
+    doubt = errors(coarser, converged, None).force_rel
+    measured = Measured(best.errors, doubt, best.peak, best.times)
+    chosen = scene.with_values({**best.changed, "solver.sleep": given.solver.sleep})
+    comments = [
+        f"The most accurate settings of {name} that were found to hold {rate:g} Hz: `finger_sim tradeoff --for-rate`.",
+        *measured.sentences(path.name, describe_machine()["cpu"]),
+    ]
+    return Found(tries, best, write_scene(out / f"{Path(name).stem}_{rate:g}hz.yaml", chosen, comments))
+
+
+def ladder(scene: Scene) -> list[dict[str, Any]]:
+    """Settings to try."""
+    settings = NEWTON if soft(scene) else PGS
+    if scene.plane is None:
+        return [dict(setting) for setting in settings]
+    contacts = dict.fromkeys([scene.plane.stiffness, *CONTACT])
+    return [{**setting, "plane.stiffness": contact} for setting in settings for contact in contacts]
+
+
+def search(
+    settings: Sequence[Mapping[str, Any]], clock: Callable[[Mapping[str, Any]], Times], dt: float, progress: Meter
+) -> list[Try]:
+    """Time every setting with more and more substeps, as long as it holds steps of `dt` [s]."""
+    tries = []
+    for k, setting in enumerate(settings):
+        for i, substeps in enumerate(SUBSTEPS):
+            progress(k * len(SUBSTEPS) + i, len(settings) * len(SUBSTEPS))
+            changed = {**setting, "substeps": substeps}
+            took = clock(changed)
+            tries.append(Try(changed, took, took.p99 <= HEADROOM * dt))
+            if not tries[-1].holds:
+                break
+    return tries
+
+
+def choose(tries: Sequence[Try]) -> Try:
+    """The most accurate that holds, the fastest of those about as good; where none holds, the fastest of all."""
+    good = [one for one in tries if one.errors is not None and one.holds]
+    if good:
+        least = min(_error(one) for one in good)
+        good = [one for one in good if _error(one) <= CLOSE * least]
+    return min(good or tries, key=lambda one: one.times.p99)
+
+
+def _error(one: Try) -> float:
+    assert one.errors is not None
+    return one.errors.force_rel
+
+
+def _timed(scene: Scene, changed: Mapping[str, Any], path: Motion) -> Times:
+    """Given up when its steps take longer than the motion."""
+    return times(portable(scene.with_values(changed)), path, give_up=path.duration)
+
+
+def _with_errors(one: Try, scene: Scene, path: Motion, converged: Course) -> Try:
+    own = course(portable(scene.with_values(one.changed)), path, False)
+    return Try(one.changed, one.times, one.holds, errors(own, converged, None), peak_force(own))

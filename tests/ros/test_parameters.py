@@ -1,0 +1,188 @@
+"""Every scene value is a ROS parameter with its unit, range and doc; every bound refuses what is beyond."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from ros_helpers import Client, NodeProcess, write_block
+
+from finger_sim import Scene, SceneError
+from finger_sim.ros import parameters
+from finger_sim.ros.parameters import NodeOptions, to_ros
+from finger_sim.scene.fields import specs
+
+SCENE = Scene.from_dict(
+    {
+        "mesh": {"beam": {"size": [0.02, 0.01, 0.01], "cells": [2, 1, 1]}},
+        "driven": {"box": [[-1, -1, 0.0099], [1, 1, 1]]},
+        "limits": {"stretch": [1.05, None, 1.02], "compress": [0.95, 0.75, 0.98]},
+        "plane": {"stiffness": None},
+    }
+)
+OWN = list(parameters.node_parameters(NodeOptions()))
+OF_SCENE = list(SCENE.parameters())
+ALL = OWN + OF_SCENE
+BY_NAME = {p.name: p for p in ALL}
+
+
+def beyond(parameter):
+    """Values one step outside each bound of a parameter, in the type that ROS has for it."""
+    spec, kind = parameter.spec, parameter.spec.kind
+    if kind == "float":
+        return [math.nextafter(spec.low, -math.inf), math.nextafter(spec.high, math.inf), math.nan]
+    if kind == "int":
+        return [int(spec.low) - 1, int(spec.high) + 1]
+    if kind == "choice":
+        return ["no such choice", ""]
+    if kind == "cells":
+        return [[1, 1, int(spec.low) - 1], [1, 1, int(spec.high) + 1], [1, 1]]
+    if kind == "quaternion":
+        return [[0.0] * 4, [0.0, 0.0, 1.0], [math.nan, 0.0, 0.0, 1.0]]
+    if kind in ("vec3", "limit3"):
+        out = [[1.0, 1.0], [math.nan, 1.0, 1.0]]
+        if math.isfinite(spec.low):
+            out += [
+                [1.0, math.nextafter(spec.low, -math.inf), 1.0],
+                [1.0, math.nextafter(spec.high, math.inf), 1.0],
+            ]
+        return out
+    return [3.5]
+
+
+def parsed(name, value):
+    """What becomes of an override, in the options or in the scene."""
+    if name in specs(NodeOptions):
+        return getattr(parameters.options_from({name: value}), name)
+    scene = parameters.scene_from(SCENE, {name: value})
+    return next(p.value for p in scene.parameters() if p.name == name)
+
+
+REFUSED = [pytest.param(p.name, value, id=f"{p.name}={value}") for p in ALL for value in beyond(p)]
+
+
+@pytest.mark.parametrize(("name", "value"), REFUSED)
+def test_an_override_beyond_a_bound_is_refused_by_name(name, value):
+    """The error names parameter, value and what is allowed."""
+    with pytest.raises(SceneError) as caught:
+        parsed(name, value)
+    assert caught.value.key.startswith(name)
+    assert caught.value.allowed
+
+
+@pytest.mark.parametrize("parameter", ALL, ids=lambda p: p.name)
+def test_values_survive_the_way_through_ros(parameter):
+    """A value made a ROS parameter and read back is the value, null included."""
+    back = parsed(parameter.name, to_ros(parameter.value, parameter.spec))
+    assert back == parameter.value or np.allclose(back, parameter.value, rtol=1e-15)
+
+
+@pytest.mark.parametrize("parameter", ALL, ids=lambda p: p.name)
+def test_descriptors_say_what_the_field_says(parameter):
+    """Doc, unit, range and read-only of the descriptor are those of the field."""
+    spec, shown = parameter.spec, parameters.descriptor(parameter)
+    assert spec.doc in shown.description
+    assert spec.unit in shown.description
+    assert spec.allowed in shown.additional_constraints
+    assert shown.read_only is not spec.live
+    if spec.kind == "float":
+        (span,) = shown.floating_point_range
+        assert (span.from_value, span.to_value) == (spec.low, math.inf if spec.optional else spec.high)
+    if spec.kind == "int":
+        (span,) = shown.integer_range
+        assert (span.from_value, span.to_value) == (spec.low, spec.high)
+
+
+def test_defaults_of_the_options_are_allowed():
+    """The node starts with no override at all."""
+    assert parameters.options_from({}) == NodeOptions()
+
+
+def test_unknown_overrides_are_named_with_the_nearest():
+    """A typing error is told from quality-of-service overrides, which rclpy reads itself."""
+    given = ["plane.frictoin", "dt", "zzz", "qos_overrides./tf.publisher.depth"]
+    assert parameters.unknown(given, BY_NAME) == {"plane.frictoin": "plane.friction", "zzz": ""}
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("parameters")
+    overrides = ("-p", "plane.friction:=0.25", "-p", "solver.tolerance:=0.01", "-p", "gravity:=[0,0,-1]")
+    scene = write_block(folder)
+    with NodeProcess(folder / "log", "-p", f"scene:={scene}", *overrides, "-p", "plane.frictoin:=0.1") as node:
+        node.wait_for("ready after")
+        with Client(node.domain) as client:
+            client.log = node
+            yield client
+        assert node.end() == 0
+
+
+def test_the_node_has_every_parameter_of_scene_and_options(client, tmp_path):
+    """Names, types and values; overrides at start reach read-only ones too, whole numbers as well."""
+    scene = Scene.load(write_block(tmp_path))
+    wanted = {p.name for p in scene.parameters()} | set(specs(NodeOptions))
+    assert wanted <= set(client.parameter_names())
+    assert client.get("plane.friction") == 0.25
+    assert list(client.get("gravity")) == [0.0, 0.0, -1.0]
+    assert list(client.get("limits.stretch")) == [1.05, 1.25, math.inf]
+    assert client.get("dt") == 0.005
+    assert "plane.frictoin is not known" in client.log.output
+
+
+def test_the_node_describes_unit_and_range(client):
+    """What `ros2 param describe` shows."""
+    shown = client.describe("coupling.force_limit")
+    assert "[N]" in shown.description
+    assert (shown.floating_point_range[0].from_value, shown.floating_point_range[0].to_value) == (0.0, 1e6)
+
+
+LIVE = [pytest.param(p.name, v, id=f"{p.name}={v}") for p in ALL if p.spec.live for v in beyond(p)]
+
+
+@pytest.mark.parametrize(("name", "value"), LIVE)
+def test_the_running_node_refuses_what_is_beyond_a_bound(client, name, value):
+    """The reason names the parameter; the value stays."""
+    before = client.get(name)
+    result = client.set(name, value)
+    assert not result.successful
+    # rclpy's own refusal of a type names the types only.
+    assert name in result.reason or "Wrong parameter type" in result.reason
+    assert client.get(name) == before
+
+
+@pytest.mark.parametrize("name", ["dt", "scene", "material.young", "limits.stretch", "record_queue"])
+def test_the_running_node_refuses_what_needs_a_rebuild(client, name):
+    """Read-only parameters stay as they are."""
+    result = client.set(name, client.get(name))
+    assert not result.successful
+    assert name in result.reason
+
+
+def test_a_whole_number_is_a_number(client):
+    """`ros2 param set /finger plane.friction 1` does what it says."""
+    assert client.set("plane.friction", 1).successful
+    assert client.get("plane.friction") == 1.0
+    assert client.set("plane.friction", 0.25).successful
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["-p", "scene:=no_such_scene"], "no_such_scene"),
+        (["-p", "dt:=0.5"], "dt"),
+        (["-p", "dt:=fast"], "dt"),
+        (["-p", "dt:=[0.1"], "dt"),
+        (["-p", "plane.friction:=-1.0"], "plane.friction"),
+        (["-p", "wrench_frame:=sensor"], "wrench_frame"),
+        (["-p", "record:=/proc/no/such/place"], "/proc/no/such/place"),
+    ],
+    ids=lambda v: v[-1] if isinstance(v, list) else "",
+)
+def test_a_start_that_cannot_work_ends_with_one_line(tmp_path, arguments, says):
+    """Exit code not 0, the reason by name, no traceback."""
+    scene = write_block(tmp_path)
+    with NodeProcess(tmp_path / "log", "-p", f"scene:={scene}", *arguments) as node:
+        assert node.code() != 0
+        assert says in node.output
+        assert "Traceback" not in node.output

@@ -1,0 +1,184 @@
+"""What the node sends arrives as the message that was meant; commands of no sense are refused.
+
+Bytes are not compared: those that align a number after a name are whatever lay in rclpy's memory.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import ros_helpers  # noqa: F401  (skips without ROS; checks fields of messages)
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import PointCloud2, PointField
+from visualization_msgs.msg import Marker
+
+from finger_sim.bags.layout import POINT_DTYPE, pack_points
+from finger_sim.ros import messages
+from finger_sim.scene import Pose
+
+STAMP = 1_700_000_000_123_456_789
+RNG = np.random.default_rng(5)
+WHOLE = serialize_message(PoseStamped())
+
+
+def stamped(kind, frame_id):
+    message = kind()
+    message.header.frame_id = frame_id
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(STAMP, 1_000_000_000)
+    return message
+
+
+@pytest.mark.parametrize("frame_id", ["w", "world", "finger_world_aligned"])
+def test_a_wrench_arrives_as_the_message(frame_id):
+    """A filled template arrives as the message, whatever the length of the frame's name."""
+    values = RNG.normal(size=6)
+    message = stamped(WrenchStamped, frame_id)
+    f, t = message.wrench.force, message.wrench.torque
+    f.x, f.y, f.z, t.x, t.y, t.z = values.tolist()
+    filled = messages.wrench_template(frame_id).fill(STAMP, messages.doubles(values))
+    assert len(filled) == len(serialize_message(message))
+    assert deserialize_message(filled, WrenchStamped) == message
+
+
+@pytest.mark.parametrize("frame_id", ["w", "world", "finger_world_aligned"])
+def test_a_pose_arrives_as_the_message(frame_id):
+    """A filled template arrives as the message; float32 and int values as what they are."""
+    values = (np.float32(1.5), 1, -2.0, 0.0, 0.0, 0.0, 1)
+    message = stamped(PoseStamped, frame_id)
+    p, q = message.pose.position, message.pose.orientation
+    p.x, p.y, p.z, q.x, q.y, q.z, q.w = (float(v) for v in values)
+    filled = messages.pose_template(frame_id).fill(STAMP, messages.doubles(values))
+    assert len(filled) == len(serialize_message(message))
+    assert deserialize_message(filled, PoseStamped) == message
+
+
+def test_cloud_arrives_with_its_fields():
+    """Every field of every point is where the message's own fields say."""
+    n = 7
+    x, rest, force, strain = (
+        RNG.normal(size=(n, 3)),
+        RNG.normal(size=(n, 3)),
+        RNG.normal(size=(n, 3)),
+        RNG.random(n),
+    )
+    packed = pack_points(x, rest, force, strain)
+    cloud = deserialize_message(messages.cloud_template("world", n).fill(STAMP, packed.tobytes()), PointCloud2)
+    assert all(field.datatype == PointField.FLOAT32 and field.count == 1 for field in cloud.fields)
+    names, offsets = [f.name for f in cloud.fields], [f.offset for f in cloud.fields]
+    layout = {
+        "names": names,
+        "offsets": offsets,
+        "formats": ["<f4"] * len(names),
+        "itemsize": cloud.point_step,
+    }
+    points = np.frombuffer(cloud.data, np.dtype(layout))
+    assert points.dtype.names == POINT_DTYPE.names
+    for names, values in ((("x", "y", "z"), x), (("dx", "dy", "dz"), x - rest), (("fx", "fy", "fz"), force)):
+        found = np.column_stack([points[name] for name in names])
+        np.testing.assert_allclose(found, values, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(points["strain"], strain, rtol=1e-6)
+    assert (cloud.header.frame_id, cloud.width, cloud.height, cloud.is_dense) == ("world", n, 1, True)
+
+
+def test_marker_arrives_with_corners_and_colors():
+    """A TRIANGLE_LIST with one colour a corner, in the world frame, not scaled or moved."""
+    corners, colors = RNG.normal(size=(6, 3)), messages.ramp_colors(np.linspace(0, 1, 6))
+    filled = messages.marker_template("world", 6).fill(STAMP, messages.doubles(corners), colors.tobytes())
+    marker = deserialize_message(filled, Marker)
+    assert marker.type == Marker.TRIANGLE_LIST
+    assert (marker.scale.x, marker.pose.orientation.w, marker.header.frame_id) == (1.0, 1.0, "world")
+    np.testing.assert_array_equal([[p.x, p.y, p.z] for p in marker.points], corners)
+    np.testing.assert_allclose([[c.r, c.g, c.b, c.a] for c in marker.colors], colors)
+
+
+def test_a_block_of_another_length_is_refused():
+    """A message never changes its length."""
+    with pytest.raises(ValueError, match="block"):
+        messages.pose_template("world").fill(STAMP, messages.doubles(np.zeros(6)))
+
+
+def test_topology_keeps_indices():
+    """Triangles index the vertices as the mesh does."""
+    vertices, triangles = RNG.normal(size=(5, 3)), np.array([[0, 1, 2], [2, 3, 4]], np.int32)
+    mesh = messages.topology_message(vertices, triangles)
+    assert [list(t.vertex_indices) for t in mesh.triangles] == triangles.tolist()
+    np.testing.assert_array_equal([[p.x, p.y, p.z] for p in mesh.vertices], vertices)
+
+
+def test_node_areas_share_out_the_surface():
+    """Areas at the nodes of a unit square of two triangles sum to it; its diagonal has two thirds."""
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    areas = messages.node_areas(square, np.array([[0, 1, 2], [0, 2, 3]]))
+    np.testing.assert_allclose(areas, [1 / 3, 1 / 6, 1 / 3, 1 / 6])
+
+
+def pose_message(position=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0), frame_id="world"):
+    message = stamped(PoseStamped, frame_id)
+    p, q = message.pose.position, message.pose.orientation
+    p.x, p.y, p.z = position
+    q.x, q.y, q.z, q.w = orientation
+    return message
+
+
+def checked(message):
+    """What becomes of a message that is sent."""
+    return messages.check_pose(messages.read_pose(serialize_message(message)), "world")
+
+
+@pytest.mark.parametrize("frame_id", ["", "w", "map", "base", "world", "tool_0", "fingers", "ängström", "a" * 1000])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_pose_is_read_as_it_was_sent(frame_id, swapped):
+    """Whatever the length of the frame's name, and whatever order its bytes are in: written by rclpy and by rosbags."""
+    values = tuple(RNG.normal(size=7).tolist())
+    message = pose_message(values[:3], values[3:], frame_id)
+    data = serialize_message(message)
+    if swapped:
+        store = get_typestore(Stores.ROS2_JAZZY)
+        kind = "geometry_msgs/msg/PoseStamped"
+        data = bytes(store.serialize_cdr(store.deserialize_cdr(data, kind), kind, little_endian=False))
+        assert data[1] == 0
+    assert messages.read_pose(data) == (STAMP, frame_id, values)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 12, b"\7" * 96, WHOLE[:40], WHOLE[:-1]],
+    ids=["nothing", "header only", "a name without end", "no CDR", "cut in the position", "a byte short"],
+)
+def test_bytes_that_are_no_pose_are_refused(data):
+    """Cut off, or never one."""
+    with pytest.raises(ValueError, match="bytes that are no PoseStamped"):
+        messages.read_pose(data)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"frame_id": "map"}, "frame_id 'map'"),
+        ({"frame_id": ""}, "frame_id ''"),
+        ({"frame_id": "/world"}, "frame_id '/world'"),
+        ({"position": (0.0, math.nan, 0.0)}, "not finite"),
+        ({"position": (math.inf, 0.0, 0.0)}, "not finite"),
+        ({"orientation": (0.0, math.nan, 0.0, 1.0)}, "not finite"),
+        ({"orientation": (0.0, 0.0, 0.0, 0.0)}, "zero quaternion"),
+        ({"orientation": (0.0, 0.0, 0.0, 1e-9)}, "zero quaternion"),
+        ({"orientation": (1e308, 1e308, 1e308, 1e308)}, "too large"),
+        ({"position": (0.0, 0.0, 1.1e4)}, "out of range"),
+        ({"position": (-1.1e4, 0.0, 0.0)}, "out of range"),
+    ],
+)
+def test_bad_commands_are_refused_with_the_reason(wrong, says):
+    """What cannot be meant is refused, and the reason names it."""
+    refusal = checked(pose_message(**wrong))
+    assert isinstance(refusal, str)
+    assert says in refusal
+
+
+def test_a_good_command_gets_a_unit_quaternion():
+    """Position as it is, orientation of length one."""
+    pose = checked(pose_message((0.1, -0.2, 0.3), (0.0, 3.0, 0.0, 4.0)))
+    assert pose == Pose((0.1, -0.2, 0.3), (0.0, 0.6, 0.0, 0.8))

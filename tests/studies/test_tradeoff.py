@@ -1,0 +1,475 @@
+"""`finger_sim tradeoff`: its measures on cases with known answers, the whole study on a block, and the presets."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from finger_sim import FingerSimError, Scene
+from finger_sim.cli import main
+from finger_sim.errors import MissingExtraError
+from finger_sim.scene.meshing import beam
+from finger_sim.scene.resources import shipped
+from finger_sim.studies.tradeoff import pool
+from finger_sim.studies.tradeoff.clock import Times, summary
+from finger_sim.studies.tradeoff.energy import elastic_energy, energy_drift
+from finger_sim.studies.tradeoff.grid import DEFAULT, Grid, points, reference
+from finger_sim.studies.tradeoff.measures import Errors, errors, jitter, overshoot, slip_onset, unsolved
+from finger_sim.studies.tradeoff.motion import DEPTH, GAP, SLOW, Motion, motion
+from finger_sim.studies.tradeoff.presets import PRESETS, claim, converged
+from finger_sim.studies.tradeoff.rate import HEADROOM, SUBSTEPS, Try, choose, search
+from finger_sim.studies.tradeoff.run import Course, portable
+from finger_sim.studies.tradeoff.scene import write_scene
+from finger_sim.studies.tradeoff.store import Store, job
+from finger_sim.studies.tradeoff.table import front
+from finger_sim.studies.tradeoff.tradeoff import Options, TimeLeft, in_words, tradeoff
+
+UP = np.array([0.0, 0.0, 1.0])
+BLOCK = """
+mesh: {beam: {size: [0.02, 0.01, 0.01], cells: [2, 1, 1]}}
+driven: {box: [[-1, -1, 0.0099], [1, 1, 1]]}
+material: {young: 5.0e4, poisson: 0.4}
+plane: {friction: 0.5, stiffness: 10.0}
+solver: {method: newton, max_iterations: 50}
+dt: 0.002
+"""
+GRID = """
+sweeps:
+  dt: [0.001, 0.004]
+points:
+  - {material.young: 6.0e4}
+"""
+
+
+@pytest.fixture
+def block(tmp_path, monkeypatch):
+    """A scene and a grid in an empty working folder."""
+    monkeypatch.chdir(tmp_path)
+    Path("block.yaml").write_text(BLOCK)
+    Path("grid.yaml").write_text(GRID)
+    return "block.yaml"
+
+
+def course(force, dt=1e-3, nodes=None, **changed):
+    """A made-up run with such forces (k, 3)."""
+    k = len(force)
+    values = {
+        "time": dt * np.arange(1, k + 1),
+        "wrench": np.hstack([force, np.zeros((k, 3))]),
+        "strain_ratio": np.zeros(k),
+        "penetration": np.zeros(k),
+        "status": np.zeros(k, np.int64),
+        "held": np.ones(k, np.int64),
+        "nodes": np.zeros((1, 2, 3)) if nodes is None else nodes,
+        "work": np.zeros(2),
+        "energy": np.zeros(1),
+    }
+    return Course(**values | changed)
+
+
+def ramp(k, dt, rate=10.0):
+    """A normal force that grows by `rate` [N/s] from 0 on."""
+    return np.outer(rate * dt * np.arange(1, k + 1), UP)
+
+
+def test_errors_are_those_put_in():
+    """RMS, largest, relative to the peak, nodes, torque; a run with other time steps is read on straight lines."""
+    exact = course(ramp(400, 0.25e-3), 0.25e-3)
+    own = course(ramp(100, 1e-3), nodes=np.full((1, 2, 3), 3e-6))
+    same = errors(own, exact, None)
+    np.testing.assert_allclose([same.force_rms_n, same.force_max_n, same.torque_rms_nm], 0.0, atol=1e-12)
+    np.testing.assert_allclose(same.node_rms_m, np.sqrt(27e-12), rtol=1e-12)
+    off = ramp(100, 1e-3)
+    off[::2, 0] += 0.2
+    found = errors(course(off), exact, None)
+    np.testing.assert_allclose(found.force_rms_n, 0.2 / np.sqrt(2.0), rtol=1e-12)
+    np.testing.assert_allclose(found.force_max_n, 0.2, rtol=1e-12)
+    np.testing.assert_allclose(found.force_rel, found.force_rms_n / 1.0, rtol=1e-12)
+    turned = course(ramp(100, 1e-3))
+    turned.wrench[:, 3:] = [0.0, 3e-3, 4e-3]
+    np.testing.assert_allclose(errors(turned, exact, None).torque_rms_nm, 5e-3, rtol=1e-12)
+    assert np.isnan(errors(own, course(off, nodes=np.zeros((1, 3, 3))), None).node_rms_m)
+
+
+def test_slip_begins_where_the_force_reaches_the_cone():
+    """Not while the contact is light; NaN where it never slips, or without friction."""
+    normal, sideways = np.full(100, 4.0), np.linspace(0.02, 2.0, 100)
+    normal[0], sideways[0] = 0.01, 0.005
+    force = np.stack([sideways, np.zeros(100), normal], axis=1)
+    np.testing.assert_allclose(slip_onset(course(force), (UP, 0.5)), 1e-3 * (1 + np.argmax(sideways >= 0.99 * 2.0)))
+    assert np.isnan(slip_onset(course(force), (UP, 0.6)))
+    assert np.isnan(slip_onset(course(force), None))
+    late = errors(course(force, 1.1e-3), course(force), (UP, 0.5)).slip_onset_s
+    np.testing.assert_allclose(late, 0.1e-3 * (1 + np.argmax(sideways >= 0.99 * 2.0)))
+
+
+def test_jitter_is_none_of_a_ramp_and_four_times_of_a_zigzag():
+    """Only in steps where the bone was held, or moved, as asked."""
+    smooth, rough = ramp(50, 1e-3), ramp(50, 1e-3)
+    rough[::2, 2] += 0.1
+    rough[1::2, 2] -= 0.1
+    np.testing.assert_allclose(jitter(course(smooth), held=True), 0.0, atol=1e-12)
+    np.testing.assert_allclose(jitter(course(rough), held=True), 0.4, rtol=1e-12)
+    assert np.isnan(jitter(course(rough), held=False))
+    half = np.repeat([1, 0], 25)
+    smooth[25:] = rough[25:]
+    np.testing.assert_allclose(jitter(course(smooth, held=half), held=True), 0.0, atol=1e-12)
+    np.testing.assert_allclose(jitter(course(smooth, held=half), held=False), 0.4, rtol=1e-12)
+
+
+def test_overshoot_and_unsolved_steps():
+    """A part of the limit, never negative; a share of the steps."""
+    assert overshoot(course(ramp(4, 1e-3), strain_ratio=np.array([0.0, 0.5, 0.9, 0.8]))) == 0.0
+    np.testing.assert_allclose(overshoot(course(ramp(2, 1e-3), strain_ratio=np.array([0.0, 1.25]))), 0.25)
+    assert unsolved(course(ramp(4, 1e-3), status=np.array([0, 4, 144, 8]))) == 0.5
+
+
+def test_front_holds_what_no_other_beats():
+    """From the cheapest on; what is not known is beaten; of equals one."""
+    cost, error = [3.0, 1.0, 2.0, 2.5, 1.0, np.nan], [0.1, 0.5, 0.2, 0.3, 0.6, 0.0]
+    assert front(cost, error) == [1, 2, 0]
+    assert front([1.0, 1.0], [2.0, 2.0]) == [0]
+    assert front([1.0, 2.0], [np.nan, 1.0]) == [1]
+
+
+def test_times_leave_out_what_disturbs_one_repetition():
+    """Of each step the least; steps that not all came to do not count."""
+    passes = [np.full(100, 2.0), np.full(100, 1.0), np.full(90, 3.0)]
+    passes[1][5] = 50.0
+    found = summary(passes)
+    assert (found.steps, found.median) == (90, 1.0)
+    np.testing.assert_allclose(found.mean, (89.0 + 2.0) / 90.0)
+    assert found.p99 < 2.0 < found.p99_disturbed
+
+
+def test_elastic_energy_of_a_stretch():
+    """V (μ e² + λ/2 e²) along an axis; none of a rotation."""
+    mesh, young, poisson, e = beam((0.1, 0.1, 0.1), (1, 1, 1)), 1e4, 0.3, 0.02
+    mu, lame = young / 2.6, young * 0.3 / (1.3 * 0.4)
+    stretched = mesh.points * [1.0 + e, 1.0, 1.0]
+    expected = 1e-3 * (mu + 0.5 * lame) * e**2
+    np.testing.assert_allclose(elastic_energy(mesh, stretched, young, poisson), expected, rtol=1e-9)
+    turned = stretched @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(elastic_energy(mesh, turned, young, poisson), expected, rtol=1e-9)
+
+
+def test_energy_is_lost_and_less_with_smaller_steps(block):
+    """Backward Euler damps; none is made; the loss tends to zero."""
+    scene = Scene.load(block)
+    drift = [energy_drift(scene.with_values({"dt": dt})) for dt in (1e-3, 1e-4, 1e-5)]
+    assert -1.0 < drift[0] < drift[1] < drift[2] < 0.0
+    assert abs(drift[2]) < 0.05
+
+
+def test_a_motion_is_the_same_path_for_every_time_step(block):
+    """Poses at common times are equal; it begins GAP over the plane and goes DEPTH below touching."""
+    path = motion(Scene.load(block), None)
+    fine, coarse = path.poses(0.25e-3), path.poses(1e-3)
+    np.testing.assert_allclose([p.position for p in fine[3::4]], [p.position for p in coarse], atol=1e-15)
+    np.testing.assert_allclose(path.position[0, 2], GAP, atol=1e-12)
+    np.testing.assert_allclose(path.position[:, 2].min(), -DEPTH, atol=1e-12)
+    assert path.cut(0.1).duration == pytest.approx(0.1)
+    steady = Motion(
+        "steady", np.array([0.0, 1.0]), np.array([[0.0] * 3, [0.5 * SLOW, 0, 0]]), np.tile([0, 0, 0, 1.0], (2, 1))
+    )
+    assert steady.held(np.array([0.1, 0.9]), 0.01).all()
+
+
+def test_only_what_is_solved_has_another_reference():
+    """Time step, solver, viscosity and contact share the base's; limits and mesh have their own."""
+    base_point, *others = points("finger_haptic", DEFAULT)
+    base, of = base_point.scene, {point.knob: point for point in others}
+    common = reference(base, base, 350)
+    for key in (
+        "dt",
+        "substeps",
+        "solver.tolerance",
+        "solver.level",
+        "limits.viscosity",
+        "plane.stiffness",
+        "solver.method",
+    ):
+        assert reference(of[key].scene, base, 350) == common, key
+    for key in ("limits.stiffness", "limits.projection", "mesh.file"):
+        assert reference(of[key].scene, base, 350) != common, key
+    twice = reference(base, base, 350, coarser=2)
+    assert twice.dt / twice.substeps == pytest.approx(2.0 * common.dt / common.substeps)
+    assert 40 <= len(others) <= 70
+
+
+@pytest.mark.parametrize("name", ["finger", "finger_paper", "beam_stiff", "block.yaml"])
+def test_the_default_grid_fits_other_scenes(block, name):
+    """What a scene refuses is left out; no mesh of another body."""
+    found = points(name, DEFAULT)
+    assert len(found) > 10
+    scenes = [point.scene for point in found]
+    assert all(scene not in scenes[:k] for k, scene in enumerate(scenes))
+    assert name.startswith("finger") or len({scene.mesh for scene in scenes}) == 1
+
+
+def test_a_grid_combines(tmp_path):
+    """Base, one at a time, all combinations, points; each once, the scene itself first."""
+    grid = Grid(sweeps={"dt": [1, 2]}, product={"dt": [1, 2], "substeps": [3, 4]}, points=[{"dt": 1}])
+    changes = list(grid.changes())
+    assert changes[0] == {}
+    assert changes[1:3] == [{"dt": 1}, {"dt": 2}]
+    assert changes[3:7] == [{"dt": a, "substeps": b} for a in (1, 2) for b in (3, 4)]
+    file = tmp_path / "grid.yaml"
+    file.write_text("base: {dt: 2e-3}\nsweeps: {solver.tolerance: [1e-2, 1e-4]}\n")
+    found = points("finger_haptic", Grid.load(file))
+    assert [point.scene.dt for point in found] == [2e-3] * 3
+    assert [point.knob for point in found] == ["base", "solver.tolerance", "solver.tolerance"]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "base, sweeps, product, points"),
+        ("[1, 2]", "base, sweeps, product, points"),
+        ("sweep: {dt: [0.001]}", "sweep: no such key"),
+        ("sweeps: [0.001]", "sweeps: got [0.001]"),
+        ("sweeps: {dt: 0.001}", "sweeps.dt: got 0.001, allowed: a list"),
+        ("points: [3]", "points: allowed"),
+        ("sweeps: {dt: [0.001], dt: [1]}", "given twice"),
+        ("sweeps: {dt: [-1]}", "dt: got -1"),
+        ("sweeps: {dt: [0.099]}", "dt: got 0.099, allowed: at most a third of"),
+        ("sweeps: {solver.tolerence: [0.1]}", "solver.tolerence"),
+        ("points: [{solver.level: lagged, solver.method: pgs}]", "solver.level"),
+        ("sweeps: {limits.stiffness: [1]}", "no block 'limits'"),
+    ],
+)
+def test_mistakes_in_a_grid_are_named_before_anything_runs(block, capsys, text, says):
+    """One line, exit code 2, nothing in the folder."""
+    Path("wrong.yaml").write_text(text)
+    assert main(["tradeoff", block, "--grid", "wrong.yaml", "--duration", "0.2"]) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith("finger_sim: error: ")
+    assert says in said
+    assert not Path("tradeoff").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["nowhere"], "nowhere"),
+        (["--bag", "nowhere"], "nowhere"),
+        (["--grid", "nowhere.yaml"], "--grid: nowhere.yaml: cannot be read"),
+        (["beam_stiff"], "--bag: needed"),
+        (["block.yaml", "--out", "block.yaml/out"], "--out"),
+        (["block.yaml", "--for-rate", "100", "--out", "block.yaml/out"], "--out"),
+        (["--for-rate", "1000", "--grid", "grid.yaml"], "--grid: not allowed with --for-rate"),
+        (["--for-rate", "1000", "finger", "--scene", "finger_haptic"], "one scene"),
+        (["--for-rate", "1", "--scene", "block.yaml"], "--for-rate: got 1 Hz"),
+    ],
+)
+def test_mistakes_are_one_clear_line(block, capsys, arguments, says):
+    """No traceback, exit code 2."""
+    assert main(["tradeoff", *arguments]) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("finger_sim: error: ")
+    assert says in last
+
+
+def test_without_dask_the_extra_is_named(block, monkeypatch):
+    """Before anything is measured."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtraError, match=r"finger_sim\[tradeoff\]"):
+        tradeoff(Options(scenes=[block]))
+
+
+def test_finished_runs_are_found_again_whole_or_not_at_all(block, tmp_path):
+    """Another scene, motion or kind has another name; a file that was cut off is as none."""
+    scene, store = Scene.load(block), Store(tmp_path / "points")
+    path = motion(scene, None)
+    answer, clock = job("course", scene, path, 10), job("times", scene, path, 10)
+    others = [
+        job("course", scene, path.cut(0.1), 10),
+        job("course", scene.with_values({"dt": 0.001}), path, 10),
+        job("course", scene, path, 10, drift=True),
+    ]
+    assert len({answer.key, clock.key, *(other.key for other in others)}) == 5
+    assert job("course", Scene.load(block), motion(scene, None), 10).key == answer.key
+    assert store.load(answer) is None
+    store.save(answer, course(ramp(10, 1e-3)))
+    store.save(clock, Times(3, 1.0, 2.0, 3.0, 4.0))
+    found = store.load(answer)
+    assert isinstance(found, Course)
+    np.testing.assert_array_equal(found.wrench[:, :3], ramp(10, 1e-3))
+    assert store.load(clock) == Times(3, 1.0, 2.0, 3.0, 4.0)
+    for file in (tmp_path / "points").iterdir():
+        file.write_bytes(file.read_bytes()[:100])
+    assert store.load(answer) is None
+    assert store.load(clock) is None
+
+
+def test_time_left_is_by_what_runs_cost(block, capsys, monkeypatch):
+    """Half of the cost done: as long again."""
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    scene = Scene.load(block)
+    jobs = [job("course", scene, motion(scene, None), 10)] * 4
+    left = TimeLeft("answers", jobs)
+    now[0] = 100.0
+    left(jobs[0])
+    assert "answers: 1 of 4 runs, about 5 min left" in capsys.readouterr().err
+    assert in_words(42.0) == "42 s"
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A Dask cluster of one process, as another machine would offer it."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", memory_limit=0
+    ) as made:
+        yield made
+
+
+def test_a_study_from_start_to_finish_and_again(block, cluster, capsys, monkeypatch):
+    """A row for each point, errors that fall with the time step, pictures; a second time nothing is run again."""
+    pytest.importorskip("matplotlib")
+    given = ["tradeoff", block, "--grid", "grid.yaml", "--out", "out"]
+    assert main([*given, "--scheduler", cluster.scheduler_address]) == 0
+    said = capsys.readouterr()
+    assert "left" in said.err
+    assert all(name in said.out for name in ("out/tradeoff.csv", "block_press_hold_slide_error.png"))
+    assert all(file.read_bytes().startswith(b"\x89PNG") for file in Path("out").glob("*.png"))
+    with open("out/tradeoff.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["knob"] for row in rows] == ["base", "dt", "dt", "material.young"]
+    base, fine, coarse, other = rows
+    wrong = [float(row["solver_force_rel"]) for row in (fine, base, coarse)]
+    assert float(base["reference_uncertainty_rel"]) < wrong[0] < wrong[1] < wrong[2] < 0.1
+    assert [float(row["model_force_rel"]) == 0.0 for row in rows] == [True, True, True, False]
+    assert all(float(row["step_median_s"]) > 0.0 and not row["failed"] for row in rows)
+    assert float(fine["real_time_factor"]) == pytest.approx(1e-3 / float(fine["step_mean_s"]), rel=1e-3)
+    assert other["how"] == "False"
+
+    table = Path("out/tradeoff.csv").read_text()
+    with monkeypatch.context() as patch:
+        patch.setattr(pool, "connected", lambda *_: pytest.fail("a run that was finished was made again"))
+        assert main(given) == 0
+    assert Path("out/tradeoff.csv").read_text() == table
+
+    gone = next(Path("out/points").glob("*.npz"))
+    gone.unlink()
+    capsys.readouterr()
+    assert main([*given, "--workers", "1"]) == 0
+    assert "answers: 1 of 1 runs" in capsys.readouterr().err
+    assert gone.is_file()
+
+
+def test_a_scheduler_that_is_not_there_is_named_in_time(block, monkeypatch, capsys):
+    """Within CONNECT, and some."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(pool, "CONNECT", 1.0)
+    for address in ("tcp://127.0.0.1:1", "nonsense://here"):
+        begun = time.monotonic()
+        assert main(["tradeoff", block, "--grid", "grid.yaml", "--scheduler", address]) == 2
+        assert time.monotonic() - begun < 20.0
+        assert f"--scheduler: {address}: not reached" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_worker_with_other_sources_is_refused(block, cluster, monkeypatch):
+    """Its results would be of another program."""
+    monkeypatch.setattr(pool, "code_digest", lambda kind: str(os.getpid()))
+    with (
+        pytest.raises(FingerSimError, match="has another finger_sim"),
+        pool.connected(cluster.scheduler_address),
+    ):
+        pass
+
+
+def test_a_run_that_is_refused_says_why():
+    """As text: it may come from another process."""
+
+    def refuse():
+        raise FingerSimError("its mesh is inside out")
+
+    assert pool.attempt(refuse) == "its mesh is inside out"
+
+
+def fake(p99):
+    return Times(100, p99, p99, p99, p99)
+
+
+def test_search_for_a_rate_adds_substeps_until_it_is_too_slow():
+    """A step of 0.1 ms for each substep and 0.3 ms for the slow setting; 0.8 ms are allowed at 1 kHz."""
+    slow = {"a": 0.1e-3, "b": 0.3e-3, "c": 5e-3}
+    settings = [{"name": name} for name in slow]
+    tries = search(settings, lambda c: fake(slow[c["name"]] * c["substeps"]), 1e-3, lambda done, total: None)
+    assert [(t.changed["name"], t.changed["substeps"], t.holds) for t in tries] == [
+        ("a", 1, True), ("a", 2, True), ("a", 4, True), ("a", 8, True), ("a", 16, False),
+        ("b", 1, True), ("b", 2, True), ("b", 4, False), ("c", 1, False),
+    ]  # fmt: skip
+    assert HEADROOM == 0.8
+    assert SUBSTEPS[0] == 1
+
+
+def test_the_most_accurate_that_holds_is_chosen():
+    """Of those about as good the fastest; where none holds the nearest."""
+
+    def one(p99, error, holds=True):
+        return Try({}, fake(p99), holds, None if error is None else Errors(error, error, error, 0.0, 0.0, 0.0))
+
+    tries = [one(1.0, 0.1), one(3.0, 0.01), one(2.0, 0.0102), one(9.0, None, False)]
+    assert choose(tries) is tries[2]
+    assert choose(tries[:2]) is tries[1]
+    none = [one(9.0, None, False), one(8.0, None, False)]
+    assert choose(none) is none[1]
+
+
+def test_a_rate_that_holds_is_written_as_a_scene(block, capsys):
+    """The scene loads, at that rate, with its measures above; a rate that nothing holds fails."""
+    assert main(["tradeoff", "--for-rate", "50", "--scene", block, "--out", "out"]) == 0
+    assert "out/block_50hz.yaml" in capsys.readouterr().out
+    scene = Scene.load("out/block_50hz.yaml")
+    assert scene.dt == pytest.approx(0.02)
+    assert scene.solver.sleep
+    text = Path("out/block_50hz.yaml").read_text()
+    assert all(word in text for word in ("hold 50 Hz", "RMS", "median", "p99"))
+    assert main(["tradeoff", "--for-rate", "900000", "--scene", block, "--duration", "0.01"]) == 1
+    assert "nothing holds 900000 Hz here; the nearest: " in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("name", ["finger_haptic", "finger_paper", "beam_stiff", "block.yaml"])
+def test_a_scene_comes_back_as_it_was_written(block, name):
+    """Defaults are left out; a shipped mesh goes by name, so that another machine finds its own."""
+    scene = Scene.load(name)
+    file = write_scene(Path("written.yaml"), scene, ["what was measured " * 20])
+    assert Scene.load(file) == scene
+    lines = file.read_text().splitlines()
+    assert lines[1].startswith("# ")
+    assert max(map(len, lines)) <= 120
+    assert "deadline" not in file.read_text()
+    if name == "finger_haptic":
+        assert portable(scene)["mesh"] == {"file": "meshes/finger.vtu"}
+
+
+def test_presets_do_what_they_claim():
+    """Errors and work within twice what was measured; the file says the same numbers; found by name."""
+    claims = yaml.safe_load((shipped("config") / "presets" / "claims.yaml").read_text())
+    assert set(claims["presets"]) == set(PRESETS)
+    base = Scene.load(claims["scene"])
+    path = motion(base, None)
+    against = converged(base, path)
+    for name, claimed in claims["presets"].items():
+        scene = Scene.load(f"presets/{name}")
+        assert scene == base.with_values(PRESETS[name][1]), name
+        measured, _, _ = claim(scene, path, against)
+        for key, value in measured.items():
+            assert value <= 2.0 * claimed[key], f"{name}: {key}: {value}, claimed {claimed[key]}"
+        text = " ".join((shipped("config") / "presets" / f"{name}.yaml").read_text().replace("#", "").split())
+        said = [re.search(form, text) for form in (r"([\d.]+)% RMS", r"median ([\d.]+) ms")]
+        numbers = [float(match[1]) for match in said if match]
+        np.testing.assert_allclose(
+            numbers, [1e2 * claimed["force_error_rms"], 1e3 * claimed["step_median_s"]], atol=0.01
+        )
