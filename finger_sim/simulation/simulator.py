@@ -18,7 +18,7 @@ from ..haptics.coupling import CommandSpeed, between, device_wrench, follow, set
 from ..haptics.plane_motion import PlaneMotion
 from ..physics import step as stepping
 from ..physics.clock import STAGES
-from ..physics.compile import compiled_before
+from ..physics.compile import compiling
 from ..physics.model import build_model, build_state, plane_frame, with_live_values
 from ..physics.ready import advance, measure_strains, ready, refresh
 from ..physics.rotations import ZERO_NORM, matrix, normalised
@@ -106,11 +106,8 @@ class Simulator:
         self._asleep: StepResult | None = None
         self._still_since = self._raging_since = self._steps = 0
         self._timed = timed
-        if compiled_before():
-            tell("loading compiled kernels")
-        else:
-            tell("compiling kernels: once for this version, up to a minute")
-        self._warm_up()
+        with compiling(tell):
+            self._warm_up()
         self.reset(scene.initial_pose)
         tell("ready")
 
