@@ -21,7 +21,7 @@ from ...physics.step import Status
 from ...scene import Pose, Scene
 from ...scene.mesh import TetMesh
 from ...simulation.simulator import Simulator, StepResult
-from ..strains import biot_strain
+from ..shared import biot_strain
 
 GAP, REST = 0.5e-3, 0.3
 """A body hangs so far above the table [m], for so long [s], before it is lowered."""

@@ -27,7 +27,7 @@ import yaml
 from ...errors import SceneError
 from ...scene import Scene
 from ...scene.scene import _Loader
-from .errors import TradeoffError
+from .motion import TradeoffError
 
 HOW = ("dt", "substeps", "limits.viscosity", "limits.inertia", "plane.stiffness")
 """Keys that say how a model is solved, as all of `solver` do. All other keys are the model: what is solved.

@@ -11,11 +11,11 @@ from ...arrays import Floats
 from ...bags.layout import place
 from ...bags.reader import read_commands
 from ...bags.strokes import Stroke, follow
+from ...errors import FingerSimError
 from ...haptics.coupling import between
 from ...physics.rotations import matrix
 from ...scene import Pose, Scene
 from ...scene.resources import find_bag
-from .errors import TradeoffError
 
 PRESS = "press_hold_slide"
 """Name of the motion without a bag."""
@@ -33,6 +33,10 @@ KNOT_RATE = 1000.0
 """Commands a second of the motion without a bag [Hz]."""
 SLOW = 5e-3
 """Speed of the bone under which it is held: as the tremor of a hand at rest [m/s]."""
+
+
+class TradeoffError(FingerSimError):
+    """A study that cannot be run as asked: the option or the key, the value and what is allowed."""
 
 
 @dataclass(frozen=True, eq=False)
