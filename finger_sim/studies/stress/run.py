@@ -27,7 +27,7 @@ Kind = Literal["ok", "degraded", "refused", "failed"]
 MakeSimulator = Callable[[Scene], Simulator]
 
 STEP_LIMIT = 20.0
-"""Processor time of a step that does not return, as far as anyone can tell [s]. The slowest of the cases takes 0.01 s."""
+"""Processor time after which a step counts as one that never returns [s]; the slowest of the cases takes 0.01 s."""
 NEAR = 1e-3
 """Of the body's size: so near to the undisturbed twin is recovered."""
 DRIFT = 1e-3
