@@ -40,6 +40,8 @@ class Ground:
 
     def advance(self, target: Pose | None, coupling: Coupling, dt: float) -> bool:
         """One step of `dt` [s], towards `target` from now on; whether the plane moves, or has just stopped."""
+        if self.pose is None and target is None:
+            return False
         self._since = min(self._since + dt, LONGEST_GAP)
         if target is not None:
             if not self._anchored:

@@ -36,6 +36,7 @@ Tell = Callable[[str], None]
 
 _POSE = specs(Pose)
 _FARTHEST = _POSE["position"].high
+_WHERE_PLANES_ARE = {"plane.point", "plane.normal"}
 _REJECTED, _RESTORED = int(Status.STEP_REJECTED), int(Status.RESTORED)
 
 
@@ -127,7 +128,7 @@ class Simulator:
             if self._ground is None:
                 raise SceneError("plane", None, "a scene with a plane, to move it")
             plane = _checked(plane, "plane")
-        if command is None or command is self._given:
+        if command is None or command is self._given or (self._guard.asleep and command == self._given):
             return None, plane
         self._given, command = command, _checked(command)
         return command, plane
@@ -239,11 +240,7 @@ class Simulator:
             if key not in live:
                 raise SceneError(key, value, f"values that may change while running: {', '.join(sorted(live))}")
         self.scene = self.scene.with_values(values)
-        if (
-            self._ground is not None
-            and self.scene.plane is not None
-            and values.keys() & {"plane.point", "plane.normal"}
-        ):
+        if self._ground is not None and self.scene.plane is not None and values.keys() & _WHERE_PLANES_ARE:
             self._ground.move(self.scene.plane)
         self._use(self.scene)
 
