@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,7 +11,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import Floats
-from ..bags.layout import place
 from ..errors import SceneError
 from ..haptics.coupling import CommandSpeed, between, device_wrench, follow, set_down, spring_wrench, stop_at_plane
 from ..haptics.plane_motion import PlaneMotion
@@ -21,11 +19,10 @@ from ..physics.clock import STAGES
 from ..physics.compile import compiled_before
 from ..physics.model import build_model, build_state, plane_frame, with_live_values
 from ..physics.ready import advance, measure_strains, ready, refresh
-from ..physics.rotations import ZERO_NORM, matrix, normalised
+from ..physics.rotations import matrix
 from ..physics.step import Status
 from ..physics.work import WORK
-from ..scene import Pose, Scene, Solver, Vec3
-from ..scene.fields import specs
+from ..scene import Pose, Scene, Solver, Vec3, checked_pose, place
 from ..scene.mesh import TetMesh
 
 Progress = Callable[[str], None]
@@ -34,8 +31,6 @@ MOST_REJECTIONS, TORN = 20, 30.0
 """Steps rejected in a row, and distance from the finger frame's origin over that at rest, that restore a body."""
 RAGING, RAGING_TIME = 20.0, 0.25
 """Speed in tetrahedra's sizes a second, and time under a command that holds [s], that restore a strained body."""
-_POSE = specs(Pose)
-_FARTHEST = _POSE["position"].high
 _REJECTED = int(Status.STEP_REJECTED)
 _INVERTED, _RESTORED = int(Status.INVERTED), int(Status.RESTORED)
 _STRAINED = int(Status.INVERTED | Status.LIMIT_EXCEEDED)
@@ -96,7 +91,7 @@ class Simulator:
         self._turned_by, self._turned_driven = Pose().orientation, self._rest_driven
         self._driven = scene.driven is not None
         self._yields = scene.coupling.type == "virtual"
-        self._command = self._given = self._target = self.pose = scene.initial_pose
+        self._command = self._target = self.pose = scene.initial_pose
         self._speed = CommandSpeed()
         self._still = STILL * self._model.length
         self._torn = TORN * float(np.linalg.norm(self.mesh.points, axis=1).max())
@@ -119,20 +114,22 @@ class Simulator:
 
         plane: where the plane is wanted from now on, as the x-y plane of a pose (see PlaneMotion); None: as before.
 
-        Raises SceneError when a pose is not finite or its quaternion is zero, or when the scene has no plane to move;
+        Raises SceneError when a pose is refused (see checked_pose), or when the scene has no plane to move;
         the state is then unchanged.
         """
         if plane is not None:
             if self._plane is None:
                 raise SceneError("plane", None, "a scene with a plane, to move it")
-            plane = _checked(plane, "plane")
+            plane = checked_pose(plane, "plane")
+        if command is not None:
+            command = checked_pose(command, "command")
         if self._asleep is not None:
-            if plane is None and (command is None or command == self._given):
+            if plane is None and (command is None or command == self._command):
                 self._steps += 1
                 return self._asleep.later(self._steps * self.scene.dt)
             self._asleep = None
         if command is not None:
-            self._command, self._given = _checked(command), command
+            self._command = command
         scene, state = self.scene, self._state
         shifts = self._motion.step(plane, scene.coupling, scene.dt)
         if shifts:
@@ -223,7 +220,7 @@ class Simulator:
     def reset(self, pose: Pose | None = None) -> None:
         """Back to rest at `pose` (default: the last command), at time 0; a bone that yields not past the plane."""
         if pose is not None:
-            self._command = _checked(pose)
+            self._command = checked_pose(pose, "command")
         self.pose = self._target = self._command
         self._speed = CommandSpeed()
         self._steps = 0
@@ -412,16 +409,6 @@ class Simulator:
         self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
         advance(self._ready, self._rest_driven.copy(), self.scene.dt / self.scene.substeps)
         measure_strains(self._ready)
-
-
-def _checked(pose: Pose, name: str = "command") -> Pose:
-    """The pose with a unit quaternion. Raises SceneError when it cannot be one."""
-    position, orientation = pose.position, pose.orientation
-    if not max(map(abs, position)) <= _FARTHEST or not all(map(math.isfinite, position)):
-        raise SceneError(f"{name}.position", position, _POSE["position"].allowed)
-    if not all(map(math.isfinite, orientation)) or math.hypot(*orientation) < ZERO_NORM:
-        raise SceneError(f"{name}.orientation", orientation, _POSE["orientation"].allowed)
-    return Pose(position, normalised(orientation))
 
 
 def _pose_of(numbers: list[float]) -> Pose:
