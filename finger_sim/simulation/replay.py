@@ -24,7 +24,8 @@ from ..scene import Pose, place
 if TYPE_CHECKING:
     from ..bags.reader import Commands
     from ..scene import Scene
-    from .simulator import Simulator, StepResult
+    from .result import StepResult
+    from .simulator import Simulator
 
 MESH_RATE = 60
 """Clouds of `mesh_points` a second of simulated time, at most one a step [Hz]."""

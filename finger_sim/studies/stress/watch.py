@@ -27,7 +27,8 @@ from ...arrays import Floats
 from ...physics.rotations import angle
 from ...physics.step import Status
 from ...scene import Pose, Scene, place
-from ...simulation.simulator import Simulator, StepResult
+from ...simulation.result import StepResult
+from ...simulation.simulator import Simulator
 from .energy import Ledger, Moment
 from .measures import Body, Shape, polar, strain_ratio
 
