@@ -6,7 +6,6 @@ it. Times are integer nanoseconds: `log_time` is when a message was received, `p
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import BagError
+from ..errors import BagError, SceneError
+from ..scene import Pose, checked_pose
 from . import cdr
 from .sources import Message, Topic, open_source
 from .writer import FLUSH_PERIOD, BagWriter, Compression, Qos, absolute, require_absent
@@ -112,8 +112,8 @@ class Commands:
     """The commanded poses of a bag, in the order of their receipt.
 
     Repeated stamps, gaps and sign flips of quaternions (q and −q are one rotation) are kept as recorded.
-    A non-finite pose, a zero quaternion or a frame other than `frame_id` is left out and counted
-    in `refused`: the last good command holds.
+    A pose that `checked_pose` refuses, as the node does, or one in another frame than `frame_id` is left out and
+    counted in `refused`: the last good command holds.
     """
 
     topic: str
@@ -222,12 +222,20 @@ def plane_poses_of(reader: BagReader, commands: Commands, topic: str | None = No
 
 
 class _Row(NamedTuple):
-    """One recorded pose: times [ns], position [m] and quaternion xyzw."""
+    """One recorded pose as it was sent; times [ns]."""
 
     log_time: int
     stamp: int
     frame_id: str
-    values: list[float]
+    pose: Pose
+
+
+class _Good(NamedTuple):
+    """One that is used, at length one; times [ns]."""
+
+    log_time: int
+    stamp: int
+    pose: Pose
 
 
 def _read_poses(reader: BagReader, topic: str) -> list[_Row]:
@@ -241,34 +249,29 @@ def _read_poses(reader: BagReader, topic: str) -> list[_Row]:
         except ValueError as error:
             raise BagError(f"{reader.path}: topic {topic}, message {number}: {error}") from None
         p, q, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
-        values = [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
-        rows.append(_Row(message.log_time, stamp.sec * 1_000_000_000 + stamp.nanosec, pose.header.frame_id, values))
+        sent = Pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+        rows.append(_Row(message.log_time, stamp.sec * 1_000_000_000 + stamp.nanosec, pose.header.frame_id, sent))
     return rows
 
 
-def _good_ones(rows: Sequence[_Row], frame_id: str) -> tuple[list[_Row], list[str]]:
+def _good_ones(rows: Sequence[_Row], frame_id: str) -> tuple[list[_Good], list[str]]:
     """Those to be used, and why the others are not."""
-    reasons = [_refusal(row.frame_id, row.values, frame_id) for row in rows]
-    good = [row for row, reason in zip(rows, reasons, strict=True) if reason is None]
-    return good, [f"message {i}: {reason}" for i, reason in enumerate(reasons, start=1) if reason]
+    good, refusals = [], []
+    for number, row in enumerate(rows, start=1):
+        if row.frame_id != frame_id:
+            refusals.append(f"message {number}: frame_id {row.frame_id!r}, not {frame_id!r}")
+            continue
+        try:
+            good.append(_Good(row.log_time, row.stamp, checked_pose(row.pose)))
+        except SceneError as error:
+            refusals.append(f"message {number}: {error}")
+    return good, refusals
 
 
-def _arrays(rows: Sequence[_Row]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _arrays(good: Sequence[_Good]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions (n, 3) and unit quaternions (n, 4)."""
-    values = np.array([row.values for row in rows]).reshape(-1, 7)
-    norms = np.array([math.hypot(*row.values[3:]) for row in rows]).reshape(-1, 1)  # to the last bit as the node's
-    return values[:, :3], values[:, 3:] / norms
-
-
-def _refusal(frame: str, values: list[float], frame_id: str) -> str | None:
-    """Why a command must not be used, or None."""
-    if frame != frame_id:
-        return f"frame_id {frame!r}, not {frame_id!r}"
-    if not np.isfinite(values).all():
-        return f"not finite: {values}"
-    if np.linalg.norm(values[3:]) < 1e-6:
-        return f"orientation {values[3:]} is a zero quaternion"
-    return None
+    position = np.array([each.pose.position for each in good]).reshape(-1, 3)
+    return position, np.array([each.pose.orientation for each in good]).reshape(-1, 4)
 
 
 def _command_topic(reader: BagReader, topic: str | None) -> str:

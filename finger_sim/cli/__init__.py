@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         verb: Callable[[argparse.Namespace], int] = options.verb
         return verb(options)
     except FingerSimError as error:
-        print(f"finger_sim: error: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"finger_sim: error: {error}", file=sys.stderr)
         return MISTAKE
     except KeyboardInterrupt:
         print("finger_sim: interrupted", file=sys.stderr)

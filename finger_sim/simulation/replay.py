@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ..bags import cdr
-from ..bags.layout import node_strain, pack_points, place, wrench_frame_id
+from ..bags.layout import node_strain, pack_points, wrench_frame_id
 from ..bags.reader import BagReader, BagWriter, Message, PlanePoses, Qos, commands_of, plane_poses_of, require_absent
-from ..scene import Pose
+from ..scene import Pose, place
 
 if TYPE_CHECKING:
     from ..bags.reader import Commands
@@ -44,7 +44,7 @@ class Summary:
     topic: str
     commands: int
     refused: int
-    """Commands left out: not finite, a zero quaternion, another frame."""
+    """Commands left out: refused as the node refuses them, or in another frame."""
     warning: str | None
     """What was wrong with the bag of commands, if it was cut off."""
     plane_topic: str | None = None
