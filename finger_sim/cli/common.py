@@ -43,7 +43,7 @@ def positive(text: str) -> float:
     return value
 
 
-def tolerance(text: str) -> float:
+def from_zero(text: str) -> float:
     """A finite number >= 0."""
     try:
         value = float(text)

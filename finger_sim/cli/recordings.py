@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from .common import DONE, FAILED, assignment, number_assignment, tolerance, verb
+from .common import DONE, FAILED, assignment, from_zero, number_assignment, verb
 
 
 def add_import(verbs: Any) -> None:
@@ -98,7 +98,7 @@ def add_compare(verbs: Any) -> None:
     add("--topic", action="append", help="topic to compare; may be repeated (default: all of either)")
     add(
         "--tolerance",
-        type=tolerance,
+        type=from_zero,
         metavar="X",
         help="largest difference of wrenches, poses, clouds and meshes that is equal, in N, N·m, m, rad; "
         "other topics do not count then (default: all the same, bit by bit)",

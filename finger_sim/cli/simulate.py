@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from .common import DONE, FAILED, positive, priority, verb
+from .common import DONE, FAILED, from_zero, positive, priority, verb
 
 
 def add_demo(verbs: Any) -> None:
@@ -79,25 +79,43 @@ def add_run(verbs: Any) -> None:
     add("--topic", help="topic of the commands in the bag")
     add("--mode", choices=("free", "triggered"), default="free", help="triggered: one step for each command")
     add("--plane-topic", help="topic of the plane's poses in the bag (default: plane_pose, if it is there)")
+    add(
+        "--start",
+        type=from_zero,
+        default=0.0,
+        metavar="S",
+        help="seconds from the first command on to leave out; the newest command by then places the finger at rest "
+        "there, and the newest pose of the plane holds (default: none)",
+    )
+    add(
+        "--duration",
+        type=positive,
+        metavar="S",
+        help="seconds of the bag from there on: the last step follows the last command or pose of the plane in them "
+        "(default: to the end)",
+    )
 
 
 def _run(options: argparse.Namespace) -> int:
-    from ..bags.reader import BagReader, commands_of, plane_poses_of, require_absent
+    from ..bags.reader import require_absent
     from ..console import console, gauge, say, table
     from ..scene import Scene
     from ..scene.resources import find_bag, find_scene
-    from ..simulation.replay import run
+    from ..simulation.replay import Replay, Selection
     from ..simulation.simulator import Simulator
 
     scene, bag = Scene.load(options.scene), find_bag(options.bag)
     out = options.out or Path(f"{bag.stem}_{find_scene(options.scene).stem}")
     require_absent(out)
-    reader = BagReader(bag)  # a mistake shows before kernels compile
-    plane_poses_of(reader, commands_of(reader, options.topic), options.plane_topic)
+    selection = Selection(options.topic, options.plane_topic, options.mode, options.start, options.duration)
+    replay = Replay(scene, bag, selection)  # a mistake shows before kernels compile
     simulator = Simulator(scene, progress=say)
-    with gauge(f"simulating {bag}") as meter:
-        plane, mode = options.plane_topic, options.mode
-        done = run(scene, bag, out, options.topic, meter, simulator=simulator, plane_topic=plane, mode=mode)
+    try:
+        with gauge(f"simulating {bag}") as meter:
+            done = replay.run(out, meter, simulator=simulator)
+    finally:
+        if replay.remains:
+            say(f"finger_sim: {replay.remains}")
     if done.warning:
         say(f"finger_sim: warning: {done.warning}")
     plane = f"{done.plane_poses} poses on {done.plane_topic}, {done.plane_refused} refused"
