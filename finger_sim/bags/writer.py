@@ -180,7 +180,7 @@ class BagWriter:
 
         Where the disk has refused a message, the bag ends with the last whole chunk that leaves room for the end of
         the file; that end has no index, which readers do without.
-        Raises BagError when not even that can be written.
+        Raises BagError when not even that can be written, or no message is left.
         """
         self.custom_data[CUT] = why
         if self._open:
@@ -191,6 +191,8 @@ class BagWriter:
         part = self._parts[-1]
         try:
             counts, part.first, part.last = finish_cut_off(part.file)
+            if not counts.total():
+                raise BagError(f"{self.path}: no message is left")
             for name, topic in self._recorded.items():
                 topic.count -= part.counts[name] - counts[name]
             part.counts = counts

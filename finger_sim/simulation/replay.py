@@ -255,10 +255,10 @@ class Replay:
     def _leave(self, recording: BagWriter, summary: Summary, error: BaseException) -> str:
         """Finishes the bag of a run that ends here, or removes it if nothing was simulated; what is left, in words."""
         if summary.steps:
-            whole = f"{summary.steps} of {self.steps} steps"
             with contextlib.suppress(BagError):
-                recording.cut(f"{_cause(error)} after {whole}")
-                return f"{summary.out}: cut after {whole}, readable up to there"
+                recording.cut(f"{_cause(error)} after {summary.steps} of {self.steps} steps")
+                left = recording.counts["/pose"]  # a full disk takes some back
+                return f"{summary.out}: cut after {left} of {self.steps} steps, readable up to there"
         recording.discard()
         return f"{summary.out}: removed, as nothing in it could be used"
 
