@@ -211,10 +211,11 @@ class BagWriter:
         """Stops and removes what was made: the files, and the folders that were made for them."""
         if self._open:
             self._drop()
-        with contextlib.suppress(OSError):
-            for file in (*self.files, self.path / _UNFINISHED, self.path / _METADATA):
+        for file in (*self.files, self.path / _UNFINISHED, self.path / _METADATA):
+            with contextlib.suppress(OSError):
                 file.unlink(missing_ok=True)
-            for folder in self._folders:
+        for folder in self._folders:
+            with contextlib.suppress(OSError):
                 folder.rmdir()
 
     def __enter__(self) -> Self:

@@ -11,25 +11,24 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
-
-import numpy as np
 
 from ..bags.excerpt import Received, Tally, commands_in, plane_poses_in
 from ..bags.interrupts import deferred
 from ..bags.reader import LONGEST_SPAN_SECONDS, BagReader, BagWriter, require_absent
-from ..errors import BagError, FingerSimError, SceneError
+from ..errors import BagError, FingerSimError
 from ..scene import Pose
 from .costs import Costs
+from .follower import Follower, Newest
 from .replay_output import Copies, Output
+from .summary import Summary
 
 if TYPE_CHECKING:
     from ..scene import Scene
-    from .simulator import Simulator, StepResult
+    from .simulator import Simulator
 
 MESH_RATE = 60
 """Clouds of `mesh_points` a second of simulated time, at most one a step [Hz]."""
@@ -62,50 +61,6 @@ class Selection:
     """Beginning of the window, since the first good command [s]."""
     duration: float | None = None
     """Length of the window [s]; None: to the end of the bag."""
-
-
-@dataclass
-class Summary:
-    """What happened in a replay."""
-
-    out: Path
-    topic: str
-    commands: int
-    refused: int
-    """Commands left out: those that cannot be followed, or are in another frame."""
-    warning: str | None
-    """What was wrong with the bag of commands, if it was cut off."""
-    plane_topic: str | None = None
-    """Where the plane's poses came from, if there were any."""
-    plane_poses: int = 0
-    plane_refused: int = 0
-    """Poses of the plane left out: as commands are, or all, where the scene has no plane."""
-    steps: int = 0
-    duration: float = 0.0
-    """Simulated time [s]."""
-    wall: float = 0.0
-    """Time that the steps alone took [s]."""
-    step_median: float = 0.0
-    """[s]; like `step_p99` within half a percent, of a histogram."""
-    step_p99: float = 0.0
-    """[s]"""
-    peak_force: float = 0.0
-    """Largest contact force [N]."""
-    peak_force_time: float = 0.0
-    """When it was reached [s]."""
-    limited_tets: int = 0
-    """Most tetrahedra at a limit in one step."""
-    max_strain_ratio: float = 0.0
-    """Largest strain / limit."""
-    max_penetration: float = 0.0
-    """[m]"""
-    status: dict[str, int] = field(default_factory=dict)
-    """Steps in which each status bit was set; empty when all went well."""
-
-    @property
-    def real_time_factor(self) -> float:
-        """Simulated time per time that the steps took."""
-        return self.duration / self.wall if self.wall > 0.0 else math.inf
 
 
 class Replay:
@@ -171,9 +126,9 @@ class Replay:
             copies.append(Copies(self.plane, recording, "plane_pose"))
         output.topology(simulator)
         first = next(self.commands.poses())
-        follower = _Follower(simulator, Pose(first.position, first.orientation), summary)
-        plane = _Newest(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
-        costs, bits = Costs(), Counter[str]()
+        follower = Follower(simulator, Pose(first.position, first.orientation), summary)
+        plane = Newest(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
+        costs = Costs()
         for moment in self._moments():
             place = plane.received_by(self.start + moment.begin)
             clock = time.perf_counter()
@@ -183,7 +138,7 @@ class Replay:
                 copy.up_to(self.start + moment.end)
             if result is not None:
                 output.step(simulator, result, moment.end)
-                _count(summary, bits, result, moment.end)
+                summary.count(result, moment.end)
             if progress is not None:
                 progress(summary.steps, self.steps)
             interrupt()
@@ -191,7 +146,6 @@ class Replay:
             copy.up_to(None)
         summary.duration, summary.wall = _nanoseconds(summary.steps, self.scene.dt) * 1e-9, costs.total
         summary.step_median, summary.step_p99 = costs.percentile(50.0), costs.percentile(99.0)
-        summary.status = dict(bits)
 
     @property
     def _free(self) -> bool:
@@ -204,7 +158,7 @@ class Replay:
                 at = command.log_time - self.start
                 yield _Moment(at, at, command)
             return
-        newest = _Newest(self.commands.poses())
+        newest = Newest(self.commands.poses())
         begin = 0
         for k in range(self.steps):
             end = _nanoseconds(k + 1, self.scene.dt)
@@ -232,13 +186,13 @@ class Replay:
         start, duration, first, last = self.selection.start, self.selection.duration, self.tally.first, self._last()
         begin = first + round(start * 1e9) if math.isfinite(start) else -1
         if not first <= begin <= last:
-            allowed = f"allowed: 0 to {(last - first) * 1e-9:.9g} s, where the bag ends"
+            allowed = f"allowed: 0 to {(last - first) * 1e-9:.9g} s, where its commands end"
             raise BagError(f"{self.reader.path}: start: got {start:.9g} s, {allowed}")
         if duration is None:
             return begin if start else None, None
         end = begin + round(duration * 1e9) if math.isfinite(duration) else -1
         if not begin < end <= last:
-            allowed = f"allowed: more than 0, up to {(last - begin) * 1e-9:.9g} s, where the bag ends"
+            allowed = f"allowed: more than 0, up to {(last - begin) * 1e-9:.9g} s, where its commands end"
             raise BagError(f"{self.reader.path}: duration: got {duration:.9g} s from {start:.9g} s on, {allowed}")
         return begin if start else None, end
 
@@ -302,64 +256,6 @@ class _Moment(NamedTuple):
     command: Received | None
 
 
-class _Newest:
-    """Poses in the order of their receipt, asked for the newest."""
-
-    def __init__(self, poses: Iterator[Received]) -> None:
-        self._poses = poses
-        self._next = next(poses, None)
-
-    def received_by(self, log_time: int) -> Received | None:
-        """The newest of those received by then [ns] that were not asked for before; None if none was."""
-        newest = None
-        while self._next is not None and self._next.log_time <= log_time:
-            newest, self._next = self._next, next(self._poses, None)
-        return newest
-
-
-class _Follower:
-    """A simulator under poses that it may refuse: then the command before holds, and the plane stays where it is."""
-
-    def __init__(self, simulator: Simulator, first: Pose, summary: Summary) -> None:
-        self._simulator, self._summary, self._held = simulator, summary, first
-        simulator.reset(first)
-
-    def step(self, command: Received | None, plane: Received | None, answers: bool) -> StepResult | None:
-        """A step with what came for it; None where it `answers` a command that is refused."""
-        pose, place = _pose(command), _pose(plane)
-        refusal: SceneError | None = None
-        for wanted in (pose, None if answers else self._held):
-            for where in (None,) if place is None else (place, None):
-                if wanted is None:
-                    continue
-                try:
-                    result = self._simulator.step(wanted, where)
-                except SceneError as error:
-                    refusal = error
-                    continue
-                self._refuse(command if wanted is not pose else None, plane if where is None else None)
-                self._held = wanted
-                return result
-        if not answers and refusal is not None:
-            raise refusal
-        self._refuse(command, plane)
-        return None
-
-    def _refuse(self, command: Received | None, plane: Received | None) -> None:
-        """Counts poses that were taken for good ones."""
-        counts = self._summary
-        counts.commands, counts.refused = counts.commands - bool(command), counts.refused + bool(command)
-        counts.plane_poses, counts.plane_refused = counts.plane_poses - bool(plane), counts.plane_refused + bool(plane)
-
-
-def _pose(received: Received | None) -> Pose | None:
-    """As the simulator takes it; None for none, and for one that cannot be a pose."""
-    try:
-        return received and Pose(received.position, received.orientation)
-    except SceneError:
-        return None
-
-
 def _steps(last: int, dt: float) -> int:
     """Steps until the pose received at `last` [ns] has been simulated for one of them."""
     k = math.floor(last * 1e-9 / dt)
@@ -371,18 +267,6 @@ def _steps(last: int, dt: float) -> int:
 def _nanoseconds(k: int, dt: float) -> int:
     """k dt, rounded once [ns]."""
     return round(k * dt * 1e9)
-
-
-def _count(summary: Summary, bits: Counter[str], result: StepResult, end: int) -> None:
-    """Takes the result of a step into the summary."""
-    summary.steps += 1
-    force = float(np.linalg.norm(result.contact_wrench[:3]))
-    if force > summary.peak_force:
-        summary.peak_force, summary.peak_force_time = force, end * 1e-9
-    summary.limited_tets = max(summary.limited_tets, int(result.limited_tets))
-    summary.max_strain_ratio = max(summary.max_strain_ratio, float(result.max_strain_ratio))
-    summary.max_penetration = max(summary.max_penetration, float(result.max_penetration))
-    bits.update(bit.name or str(bit.value) for bit in result.status)
 
 
 def _cause(error: BaseException) -> str:

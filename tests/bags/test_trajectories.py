@@ -20,11 +20,11 @@ from finger_sim.bags.strokes import (
     STROKES,
     TREMOR,
     Stroke,
-    follow,
     main,
     make_bags,
     minimum_jerk,
     touch_height,
+    trace,
     tremor,
 )
 from finger_sim.errors import BagError
@@ -57,7 +57,7 @@ def test_strokes_meet_their_ends() -> None:
         Stroke(0.25, (1, 2, 3)),
         Stroke(2.0, (0, 0, 0)),
     )
-    place = follow(strokes, np.array([0.0, 0.5, 1.0, 1.5, 1.6, 1.75, 3.75, 9.0]))
+    place = trace(strokes, np.array([0.0, 0.5, 1.0, 1.5, 1.6, 1.75, 3.75, 9.0]))
     expected = [[0, 0, 1], [0, 0, 1], [0.5, 1, 2], [1, 2, 3], [1, 2, 3], [1, 2, 3], [0, 0, 0], [0, 0, 0]]
     np.testing.assert_allclose(place, expected, atol=1e-14)
 
