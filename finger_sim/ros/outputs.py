@@ -24,7 +24,8 @@ from ..bags.layout import express_wrench, node_strain, pack_points, place, wrenc
 from ..bags.reader import Qos
 from ..scene import Pose
 from ..scene.mesh import TetMesh
-from ..simulation.simulator import Simulator, StepResult
+from ..simulation.result import StepResult
+from ..simulation.simulator import Simulator
 from . import messages
 from .parameters import NodeOptions
 from .recorder import Recorder, Topic

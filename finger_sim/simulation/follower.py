@@ -11,7 +11,8 @@ from ..scene import Pose
 from .summary import Summary
 
 if TYPE_CHECKING:
-    from .simulator import Simulator, StepResult
+    from .result import StepResult
+    from .simulator import Simulator
 
 
 class Newest:

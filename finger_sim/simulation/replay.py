@@ -30,11 +30,6 @@ if TYPE_CHECKING:
     from ..scene import Scene
     from .simulator import Simulator
 
-MESH_RATE = 60
-"""Clouds of `mesh_points` a second of simulated time, at most one a step [Hz]."""
-
-FINGER_FRAME = "finger"
-
 STAMPS_END = 2**31 * 1_000_000_000
 """Times from here on [ns] cannot be stamps of messages: their seconds have 32 bits."""
 

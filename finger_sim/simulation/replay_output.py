@@ -10,7 +10,8 @@ from ..bags.layout import node_strain, pack_points, place, wrench_frame_id
 from ..bags.reader import BagWriter, Qos
 
 if TYPE_CHECKING:
-    from .simulator import Simulator, StepResult
+    from .result import StepResult
+    from .simulator import Simulator
 
 FINGER_FRAME = "finger"
 

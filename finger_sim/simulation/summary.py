@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from .simulator import StepResult
+    from .result import StepResult
 
 
 @dataclass

@@ -28,7 +28,8 @@ from ...bags.layout import place
 from ...physics.rotations import angle
 from ...physics.step import Status
 from ...scene import Pose, Scene
-from ...simulation.simulator import Simulator, StepResult
+from ...simulation.result import StepResult
+from ...simulation.simulator import Simulator
 from .energy import Ledger, Moment
 from .measures import Body, Shape, polar, strain_ratio
 
