@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from ..errors import BagError
-from .reader import LONGEST_SPAN_SECONDS, BagReader, Message, command_topic, plane_topic, pose_refusal, pose_row
+from ..scene import Pose
+from .reader import LONGEST_SPAN_SECONDS, BagReader, Message, command_topic, plane_topic, pose_row
 
 
 class Received(NamedTuple):
@@ -17,10 +17,8 @@ class Received(NamedTuple):
 
     log_time: int
     """[ns]"""
-    position: tuple[float, float, float]
-    """[m]"""
-    orientation: tuple[float, float, float, float]
-    """Unit quaternion xyzw."""
+    pose: Pose
+    """Its quaternion at length one."""
 
 
 class Tally(NamedTuple):
@@ -97,15 +95,11 @@ class Excerpt:
     def _judged(self) -> Iterator[tuple[Message, Received | str]]:
         """Each message with its pose, or with why that is refused. Raises BagError for one that is no pose."""
         for number, message in enumerate(self.messages(), start=1):
-            row = pose_row(self.reader, message, number)
-            reason = pose_refusal(row.frame_id, row.values, self.frame_id)
-            if reason is not None:
-                yield message, f"message {number}: {reason}"
-                continue
-            px, py, pz, *q = row.values
-            norm = math.hypot(*q)
-            x, y, z, w = (value / norm for value in q)
-            yield message, Received(message.log_time, (px, py, pz), (x, y, z, w))
+            pose = pose_row(self.reader, message, number).judged(self.frame_id)
+            if isinstance(pose, Pose):
+                yield message, Received(message.log_time, pose)
+            else:
+                yield message, f"message {number}: {pose}"
 
 
 def commands_in(reader: BagReader, topic: str | None = None) -> tuple[Excerpt, Tally]:

@@ -6,7 +6,6 @@ it. Times are integer nanoseconds: `log_time` is when a message was received, `p
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import BagError
+from ..errors import BagError, SceneError
+from ..scene import Pose, checked_pose
 from . import cdr
 from .interrupts import deferred
 from .message import Message, Topic
@@ -124,8 +124,8 @@ class Commands:
     """The commanded poses of a bag, in the order of their receipt.
 
     Repeated stamps, gaps and sign flips of quaternions (q and −q are one rotation) are kept as recorded.
-    A non-finite pose, a zero quaternion or a frame other than `frame_id` is left out and counted
-    in `refused`: the last good command holds.
+    A pose that `checked_pose` refuses, as the node does, or one in another frame than `frame_id` is left out and
+    counted in `refused`: the last good command holds.
     """
 
     topic: str
@@ -235,17 +235,22 @@ def plane_poses_of(reader: BagReader, commands: Commands, topic: str | None = No
 
 
 class PoseRow(NamedTuple):
-    """One recorded pose: times [ns], position [m] and quaternion xyzw."""
+    """One recorded pose; times [ns]."""
 
     log_time: int
     stamp: int
     frame_id: str
-    values: list[float]
+    pose: Pose
+    """As it was sent."""
 
-
-def _read_poses(reader: BagReader, topic: str) -> list[PoseRow]:
-    """All messages of a topic; BagError for one that is no pose."""
-    return [pose_row(reader, message, number) for number, message in enumerate(reader.messages([topic]), start=1)]
+    def judged(self, frame_id: str) -> Pose | str:
+        """Its pose, at length one; or why it is refused where poses are in `frame_id`."""
+        if self.frame_id != frame_id:
+            return f"frame_id {self.frame_id!r}, not {frame_id!r}"
+        try:
+            return checked_pose(self.pose)
+        except SceneError as error:
+            return str(error)
 
 
 def pose_row(reader: BagReader, message: Message, number: int) -> PoseRow:
@@ -258,33 +263,26 @@ def pose_row(reader: BagReader, message: Message, number: int) -> PoseRow:
     except ValueError as error:
         raise BagError(f"{where}: {error}") from None
     p, q, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
-    values = [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
-    return PoseRow(message.log_time, stamp.sec * 1_000_000_000 + stamp.nanosec, pose.header.frame_id, values)
+    sent = Pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+    return PoseRow(message.log_time, stamp.sec * 1_000_000_000 + stamp.nanosec, pose.header.frame_id, sent)
+
+
+def _read_poses(reader: BagReader, topic: str) -> list[PoseRow]:
+    """All messages of a topic; BagError for one that is no pose."""
+    return [pose_row(reader, message, number) for number, message in enumerate(reader.messages([topic]), start=1)]
 
 
 def _good_ones(rows: Sequence[PoseRow], frame_id: str) -> tuple[list[PoseRow], list[str]]:
-    """Those to be used, and why the others are not."""
-    reasons = [pose_refusal(row.frame_id, row.values, frame_id) for row in rows]
-    good = [row for row, reason in zip(rows, reasons, strict=True) if reason is None]
-    return good, [f"message {i}: {reason}" for i, reason in enumerate(reasons, start=1) if reason]
+    """Those to be used, their poses at length one, and why the others are not."""
+    judged = [row.judged(frame_id) for row in rows]
+    good = [row._replace(pose=pose) for row, pose in zip(rows, judged, strict=True) if isinstance(pose, Pose)]
+    return good, [f"message {i}: {reason}" for i, reason in enumerate(judged, start=1) if isinstance(reason, str)]
 
 
-def _arrays(rows: Sequence[PoseRow]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _arrays(good: Sequence[PoseRow]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions (n, 3) and unit quaternions (n, 4)."""
-    values = np.array([row.values for row in rows]).reshape(-1, 7)
-    norms = np.array([math.hypot(*row.values[3:]) for row in rows]).reshape(-1, 1)  # to the last bit as the node's
-    return values[:, :3], values[:, 3:] / norms
-
-
-def pose_refusal(frame: str, values: list[float], frame_id: str) -> str | None:
-    """Why a command must not be used, or None."""
-    if frame != frame_id:
-        return f"frame_id {frame!r}, not {frame_id!r}"
-    if not np.isfinite(values).all():
-        return f"not finite: {values}"
-    if np.linalg.norm(values[3:]) < 1e-6:
-        return f"orientation {values[3:]} is a zero quaternion"
-    return None
+    position = np.array([each.pose.position for each in good]).reshape(-1, 3)
+    return position, np.array([each.pose.orientation for each in good]).reshape(-1, 4)
 
 
 def command_topic(reader: BagReader, topic: str | None) -> str:

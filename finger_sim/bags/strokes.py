@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FingerSimError
+from ..physics.rotations import matrix, normalised
 from ..scene.mesh import TetMesh
 from ..scene.resources import shipped
 from .imports import ImportSummary, import_csv
-from .layout import rotation_matrix
 from .reader import START, write_commands
 
 __all__ = [
@@ -136,7 +136,7 @@ def tremor(t: NDArray[np.float64], seed: int, amplitude: float = TREMOR) -> NDAr
 
 def touch_height(points: NDArray[np.float64], orientation: Sequence[float]) -> float:
     """Height [m] of the finger frame at which the skin just touches z = 0: −min (R X)_z over X (n, 3)."""
-    return -float((points @ rotation_matrix(orientation).T)[:, 2].min())
+    return -float((points @ matrix(normalised(orientation)).T)[:, 2].min())
 
 
 def make_bags(folder: str | Path, mesh: TetMesh | None = None) -> list[Path]:

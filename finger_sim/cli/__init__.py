@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with unwinding():
             return verb(options)
     except FingerSimError as error:
-        print(f"finger_sim: error: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"finger_sim: error: {error}", file=sys.stderr)
         return MISTAKE
     except Terminated:
         print("finger_sim: terminated", file=sys.stderr)

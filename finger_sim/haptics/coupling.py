@@ -12,9 +12,8 @@ import math
 import numpy as np
 
 from ..arrays import Floats
-from ..bags.layout import place
 from ..physics.rotations import angle, rotation_vector, slerp
-from ..scene import Coupling, Pose, Vec3
+from ..scene import Coupling, Pose, Vec3, place
 
 LONGEST_GAP = 0.1
 """Most time that a command, or a target of the plane, counts as having taken since the one before [s]."""

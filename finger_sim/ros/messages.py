@@ -9,7 +9,6 @@ ever be written as the float64 or float32 that the field is.
 from __future__ import annotations
 
 import array
-import math
 import struct
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -26,15 +25,13 @@ from visualization_msgs.msg import Marker
 
 from ..arrays import Floats
 from ..bags.layout import FLOAT32, POINT_FIELDS, POINT_STEP
-from ..scene import Pose
-from ..scene.fields import specs
+from ..errors import SceneError
+from ..scene import Pose, checked_pose
 
 _STAMP = struct.Struct("<iI")
 _HEADER, _POSE = struct.Struct("<iII"), struct.Struct("<7d")
 _STAMP_OFFSET = 4
 """Where a message that begins with a header has its stamp: after the 4 bytes that name the encoding."""
-
-_POSITION = specs(Pose)["position"]
 
 RAMP = np.array([[0.16, 0.30, 0.62], [0.22, 0.62, 0.75], [0.62, 0.82, 0.47], [0.97, 0.76, 0.26], [0.80, 0.16, 0.16]])
 """Colours (5, 3) of mesh_marker for 0, ¼, ½, ¾ and 1 (at the limit)."""
@@ -181,19 +178,11 @@ def check_pose(message: StampedPose, world_frame: str) -> Pose | str:
     """
     if message.frame_id != world_frame:
         return f"frame_id {message.frame_id!r}, must be {world_frame!r}"
-    x, y, z, *quaternion = message.values
-    position = (x, y, z)
-    if not all(map(math.isfinite, message.values)):
-        return f"not finite: position {position}, orientation {tuple(quaternion)}"
-    if not all(_POSITION.low <= c <= _POSITION.high for c in position):
-        return f"position {position} out of range [{_POSITION.low:g}, {_POSITION.high:g}] {_POSITION.unit}"
-    norm = math.hypot(*quaternion)
-    if norm < 1e-6:
-        return f"orientation {tuple(quaternion)} is a zero quaternion"
-    if norm == math.inf:
-        return f"orientation {tuple(quaternion)} is too large to normalise"
-    qx, qy, qz, qw = quaternion
-    return Pose(position, (qx / norm, qy / norm, qz / norm, qw / norm))
+    try:
+        x, y, z, qx, qy, qz, qw = message.values
+        return checked_pose(Pose((x, y, z), (qx, qy, qz, qw)))
+    except SceneError as error:
+        return str(error)
 
 
 def _marks(count: int) -> Floats:

@@ -20,9 +20,9 @@ from visualization_msgs.msg import Marker
 
 from ..arrays import Floats
 from ..bags import cdr
-from ..bags.layout import express_wrench, node_strain, pack_points, place, wrench_frame_id
+from ..bags.layout import express_wrench, node_strain, pack_points, wrench_frame_id
 from ..bags.reader import Qos
-from ..scene import Pose
+from ..scene import Pose, place
 from ..scene.mesh import TetMesh
 from ..simulation.result import StepResult
 from ..simulation.simulator import Simulator

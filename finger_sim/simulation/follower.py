@@ -39,10 +39,10 @@ class Follower:
 
     def step(self, command: Received | None, plane: Received | None, answers: bool) -> StepResult | None:
         """A step with what came for it; None where it `answers` a command that is refused."""
-        pose, place = _pose(command), _pose(plane)
+        pose, place = command and command.pose, plane and plane.pose
         refusal: SceneError | None = None
         for wanted in (pose, None if answers else self._held):
-            for where in (None,) if place is None else (place, None):
+            for where in (place, None) if place is not None else (None,):
                 if wanted is None:
                     continue
                 try:
@@ -63,11 +63,3 @@ class Follower:
         counts = self._summary
         counts.commands, counts.refused = counts.commands - bool(command), counts.refused + bool(command)
         counts.plane_poses, counts.plane_refused = counts.plane_poses - bool(plane), counts.plane_refused + bool(plane)
-
-
-def _pose(received: Received | None) -> Pose | None:
-    """As the simulator takes it; None for none, and for one that cannot be a pose."""
-    try:
-        return received and Pose(received.position, received.orientation)
-    except SceneError:
-        return None

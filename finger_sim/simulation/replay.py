@@ -20,7 +20,6 @@ from ..bags.excerpt import Received, Tally, commands_in, plane_poses_in
 from ..bags.interrupts import deferred
 from ..bags.reader import LONGEST_SPAN_SECONDS, BagReader, BagWriter, require_absent
 from ..errors import BagError, FingerSimError
-from ..scene import Pose
 from .costs import Costs
 from .follower import Follower, Newest
 from .replay_output import Copies, Output
@@ -120,8 +119,7 @@ class Replay:
         if self.plane is not None:
             copies.append(Copies(self.plane, recording, "plane_pose"))
         output.topology(simulator)
-        first = next(self.commands.poses())
-        follower = Follower(simulator, Pose(first.position, first.orientation), summary)
+        follower = Follower(simulator, next(self.commands.poses()).pose, summary)
         plane = Newest(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
         costs = Costs()
         for moment in self._moments():

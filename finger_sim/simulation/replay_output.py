@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 from ..bags import cdr
 from ..bags.excerpt import Excerpt
-from ..bags.layout import node_strain, pack_points, place, wrench_frame_id
+from ..bags.layout import node_strain, pack_points, wrench_frame_id
 from ..bags.reader import BagWriter, Qos
+from ..scene import place
 
 if TYPE_CHECKING:
     from .result import StepResult

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,7 +11,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import Floats
-from ..bags.layout import place
 from ..errors import SceneError
 from ..haptics.coupling import device_wrench, set_down, spring_wrench
 from ..physics import step as stepping
@@ -20,11 +18,10 @@ from ..physics.clock import STAGES
 from ..physics.compile import compiled_before
 from ..physics.model import build_model, build_state, with_live_values
 from ..physics.ready import advance, measure_strains, ready, refresh
-from ..physics.rotations import ZERO_NORM, matrix, normalised
+from ..physics.rotations import matrix
 from ..physics.step import Status
 from ..physics.work import WORK
-from ..scene import Pose, Scene, Solver, Vec3
-from ..scene.fields import specs
+from ..scene import Pose, Scene, Solver, Vec3, checked_pose, place
 from ..scene.mesh import TetMesh
 from .drive import Drive
 from .ground import Ground
@@ -34,8 +31,6 @@ from .result import StepResult
 Tell = Callable[[str], None]
 """Takes short texts on what is going on."""
 
-_POSE = specs(Pose)
-_FARTHEST = _POSE["position"].high
 _WHERE_PLANES_ARE = {"plane.point", "plane.normal"}
 _REJECTED, _RESTORED = int(Status.STEP_REJECTED), int(Status.RESTORED)
 
@@ -87,7 +82,7 @@ class Simulator:
 
         plane: where the plane is wanted from now on, as the x-y plane of a pose (see Ground); None: as before.
 
-        Raises SceneError when a pose is not finite or its quaternion is zero, or when the scene has no plane to move;
+        Raises SceneError when a pose is refused (see checked_pose), or when the scene has no plane to move;
         the state is then unchanged.
         """
         command, plane = self._taken(command, plane)
@@ -127,10 +122,10 @@ class Simulator:
         if plane is not None:
             if self._ground is None:
                 raise SceneError("plane", None, "a scene with a plane, to move it")
-            plane = _checked(plane, "plane")
+            plane = checked_pose(plane, "plane")
         if command is None or command is self._given or (self._guard.asleep and command == self._given):
             return None, plane
-        self._given, command = command, _checked(command)
+        self._given, command = command, checked_pose(command, "command")
         return command, plane
 
     def _substep(self, part: float, shifts: bool) -> list[float]:
@@ -359,16 +354,6 @@ class Simulator:
         self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
         advance(self._ready, self._rest_driven.copy(), self.scene.dt / self.scene.substeps)
         measure_strains(self._ready)
-
-
-def _checked(pose: Pose, name: str = "command") -> Pose:
-    """The pose with a unit quaternion. Raises SceneError when it cannot be one."""
-    position, orientation = pose.position, pose.orientation
-    if not max(map(abs, position)) <= _FARTHEST or not all(map(math.isfinite, position)):
-        raise SceneError(f"{name}.position", position, _POSE["position"].allowed)
-    if not all(map(math.isfinite, orientation)) or math.hypot(*orientation) < ZERO_NORM:
-        raise SceneError(f"{name}.orientation", orientation, _POSE["orientation"].allowed)
-    return Pose(position, normalised(orientation))
 
 
 def _pose_of(numbers: list[float]) -> Pose:

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import Floats
-from ...bags.layout import place
 from ...bags.reader import read_commands
 from ...bags.strokes import Stroke, trace
 from ...haptics.coupling import between
 from ...physics.rotations import matrix
-from ...scene import Pose, Scene
+from ...scene import Pose, Scene, place
 from ...scene.resources import find_bag
 from .errors import TradeoffError
 
