@@ -62,12 +62,13 @@ class BagWriter:
         self._folders = [self.path, *(folder for folder in self.path.parents if not folder.exists())]
         try:
             self.path.mkdir(parents=True)
-            self._begin_file()
-        except (OSError, BagError) as error:
-            self.discard()
-            if isinstance(error, BagError):
-                raise
+        except OSError as error:
             raise BagError(f"{self.path}: cannot be made: {error.strerror}") from None
+        try:
+            self._begin_file()
+        except BagError:
+            self.discard()
+            raise
         self._open = True
 
     @property
