@@ -97,11 +97,18 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Put the keys of the blocks that `<<` names behind the block's own; of a key's values the first counts."""
         if node in self._merging:
             raise _broken(self._path, "a block that is merged into itself", node.start_mark)
         self._merging.add(node)
-        super().flatten_mapping(node)
-        node.value = list({key.value: (key, value) for key, value in node.value}.values())
+        pairs = {key.value: (key, value) for key, value in node.value if key.tag != MERGE}
+        for blocks in (value for key, value in node.value if key.tag == MERGE):
+            for block in blocks.value if isinstance(blocks, yaml.SequenceNode) else [blocks]:
+                if not isinstance(block, yaml.MappingNode):
+                    raise _broken(self._path, "<< takes a block, or a list of blocks", block.start_mark)
+                self.flatten_mapping(block)
+                pairs = {key.value: (key, value) for key, value in block.value} | pairs
+        node.value = list(pairs.values())
         self._merging.remove(node)
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
