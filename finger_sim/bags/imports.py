@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import BagError, SceneError
 from ..scene import Pose, checked_pose
-from .reader import LONGEST, START, absolute, write_commands
+from .reader import LONGEST_SPAN_SECONDS, START, absolute, write_commands
 
 COLUMNS = {"t": "s", "x": "m", "y": "m", "z": "m", "qx": "1", "qy": "1", "qz": "1", "qw": "1"}
 """Columns of a CSV of poses and their units."""
@@ -161,7 +161,7 @@ def _read_table(source: Path, where: Mapping[str, str], concatenate: str | None)
             advice = _repeat_advice(header, previous_cells, cells)
             found = f"{source}:{line}: column t: got {t:g} s after {previous:g} s"
             raise BagError(f"{found}, allowed: times that never fall{advice}")
-        if t + shift > LONGEST:
+        if t + shift > LONGEST_SPAN_SECONDS:
             raise BagError(f"{source}:{line}: column t: got {t:g}, {t + shift:g} s after the first; t is in seconds")
         previous, previous_cells = t, cells
         table.lines.append(line)

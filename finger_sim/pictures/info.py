@@ -51,7 +51,7 @@ def _bag(path: Path) -> Iterator[tuple[str, Table]]:
     facts = {
         "duration": f"{reader.duration:.3f} s",
         "messages": str(reader.message_count),
-        "whole": f"no: {reader.warning}" if reader.truncated else "yes",
+        "whole": f"no: {reader.warning or reader.cut}" if reader.warning or reader.cut else "yes",
         "numbers missing": str(sum(topic.lost for topic in reader.topics)),
     }
     yield f"bag {path}", _pairs(facts)

@@ -13,7 +13,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped, WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
@@ -88,7 +87,7 @@ class Outputs:
         self._areas = np.maximum(messages.node_areas(mesh.points, mesh.surface), 1e-12)
         for topic in self.recorded_topics():
             cdr.definition(topic.type)
-        self.topology = serialize_message(messages.topology_message(mesh.points, mesh.surface))
+        self.topology = cdr.mesh(mesh.points, mesh.surface)
         self.send("mesh_topology", self.topology)
 
     def recorded_topics(self) -> list[Topic]:

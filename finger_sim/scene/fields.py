@@ -171,7 +171,7 @@ def to_dict(part: Any) -> dict[str, Any]:
             if value is not None:
                 out[name] = to_dict(value)
         elif hasattr(value, "as_plain"):
-            out[name] = value.asplain()
+            out[name] = value.as_plain()
         elif isinstance(value, tuple):
             out[name] = list(value)
         else:

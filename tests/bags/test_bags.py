@@ -283,8 +283,8 @@ def test_damaged_bytes_never_end_in_a_traceback(tmp_path: Path) -> None:
 
 RECORD_FOREVER = """
 import sys, time
-from finger_sim import cdr
-from finger_sim.bags import BagWriter
+from finger_sim.bags import cdr
+from finger_sim.bags.reader import BagWriter
 bag = BagWriter(sys.argv[1])
 bag.add_topic("pose", cdr.POSE_STAMPED)
 while True:
@@ -562,10 +562,9 @@ def test_mcap_core_of_npm_reads_what_was_written(
 
 FILL_DISK = """
 import resource, sys
-from finger_sim import cdr
-from finger_sim.bags import BagReader, BagWriter
+from finger_sim.bags import cdr
+from finger_sim.bags.reader import BagReader, BagWriter
 from finger_sim.errors import BagError
-from finger_sim.layout import POINT_DTYPE
 resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
 bag = BagWriter(sys.argv[1], compression="none")
 bag.add_topic("pose", cdr.POSE_STAMPED)

@@ -194,9 +194,9 @@ def test_a_full_disk_ends_the_recording_with_its_reason(disk):
 
 ODD = """
 import sys
-from finger_sim import bag_process
+import finger_sim.bags.process as process
 
-class Odd(bag_process.BagWriter):
+class Odd(process.BagWriter):
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
         print("noise from a library", flush=True)
@@ -206,8 +206,8 @@ class Odd(bag_process.BagWriter):
             raise RuntimeError("out of luck")
         super().write(*arguments, **options)
 
-bag_process.BagWriter = Odd
-sys.exit(bag_process.main())
+process.BagWriter = Odd
+sys.exit(process.main())
 """
 """A library that fails in a way that nobody thought of, and prints."""
 
