@@ -219,7 +219,7 @@ def bag_process(parent: int) -> int:
         for process in Path("/proc").glob("[0-9]*")
         if (status := _read(process / "stat"))
         and int(status.rpartition(b")")[2].split()[1]) == parent
-        and b"bag_process" in _read(process / "cmdline")
+        and b"finger_sim.bags" in _read(process / "cmdline")
     )
     return found
 
