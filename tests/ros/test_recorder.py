@@ -385,11 +385,12 @@ def test_a_live_recording_replayed_gives_the_live_wrench(tmp_path):
     with NodeProcess(tmp_path / "log", "-p", f"scene:={scene}", "-p", f"record:={bag}") as node:
         node.wait_for("ready after")
         with Client(node.domain) as client:
+            wrenches = client.collect(WrenchStamped, "contact_wrench")
             client.command(0.002)
             begin = time.monotonic()
             age = lambda: time.monotonic() - begin  # noqa: E731
             stroke = lambda: client.command(0.001 - 0.0013 * math.sin(3.0 * age()), 0.002 * math.sin(7.0 * age()))  # noqa: E731
-            client.until(lambda: age() > 2.0, stroke)
+            client.until(lambda: age() > 2.0 and len(wrenches) > 350, stroke)
         assert node.end() == 0
     replay.run(Scene.load(str(scene)), bag, tmp_path / "again")
     (time_live, live), (time_again, again) = forces(bag), forces(tmp_path / "again")

@@ -36,8 +36,11 @@ LONG = {"dt_1e-06_newton", "press_and_slide_20000"}
 def drawn() -> tuple[list[str], list[int]]:
     """Of every family of directed cases one, and of the random ones as many as make thirty: the same every time."""
     rng = random.Random(SEED)
-    families = {case.family: [c.name for c in directed() if c.family == case.family] for case in directed()}
-    names = [rng.choice(sorted(set(names) - LONG)) for names in families.values() if set(names) - LONG]
+    families: dict[str, list[str]] = {}
+    for case in DIRECTED.values():
+        if case.name not in LONG:
+            families.setdefault(case.family, []).append(case.name)
+    names = [rng.choice(family) for family in families.values()]
     return names, sorted(rng.sample(range(FUZZED), 30 - len(names)))
 
 
@@ -249,16 +252,17 @@ def test_a_twin_is_met_up_to_a_rigid_motion() -> None:
 
 def test_the_same_seed_is_the_same_to_the_last_bit() -> None:
     """Cases and outcomes, with the positions and wrenches of every step; another seed is another."""
-    first = [run(fuzz_case(3, index)) for index in range(8)]
-    again = [run(fuzz_case(3, index)) for index in range(8)]
+    first = [run(fuzz_case(3, index)) for index in range(3)]
+    again = [run(fuzz_case(3, index)) for index in range(3)]
     assert digest(first) == digest(again)
-    assert digest(first) != digest([run(fuzz_case(4, index)) for index in range(8)])
+    assert digest(first) != digest([run(fuzz_case(4, index)) for index in range(3)])
+    assert {outcome.kind for outcome in first} != {"refused"}
     assert all(outcome.digest for outcome in first if outcome.kind != "refused")
 
 
 def test_random_cases_reach_the_ends() -> None:
     """Every range of the contract is drawn from end to end, and every scene is one that a user could write."""
-    scenes = [fuzz_case(SEED, index).scene for index in range(400)]
+    scenes = [fuzz_case(SEED, index).scene for index in range(150)]
     decades = {"dt": (1e-6, 0.1), "young": (1.0, 1e12), "density": (1.0, 1e5)}
     for key, (low, high) in decades.items():
         values = [scene["dt"] if key == "dt" else scene["material"][key] for scene in scenes]
