@@ -6,6 +6,7 @@ Bytes are not compared with rclpy's: there those that align a number after a nam
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -162,6 +163,38 @@ def test_bytes_that_are_no_pose_are_refused(data):
     """Cut off, or never one."""
     with pytest.raises(ValueError, match="bytes that are no PoseStamped"):
         messages.read_pose(data)
+
+
+def test_a_stamp_that_is_no_time_is_refused():
+    """In either order of bytes; the latest that is one is taken, and can be sent."""
+    store, kind = get_typestore(Stores.ROS2_JAZZY), "geometry_msgs/msg/PoseStamped"
+    for sec, nanosec in ((-1, 0), (0, 1_000_000_000), (2**31 - 1, 2**32 - 1), (-(2**31), 2**32 - 1)):
+        message = pose_message()
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+        data = serialize_message(message)
+        swapped = bytes(store.serialize_cdr(store.deserialize_cdr(data, kind), kind, little_endian=False))
+        for way in (data, swapped):
+            with pytest.raises(ValueError, match=rf"stamp of {sec} s and {nanosec} ns, must be sec >= 0"):
+                messages.read_pose(way)
+    message.header.stamp.sec, message.header.stamp.nanosec = 2**31 - 1, 999_999_999
+    latest = messages.read_pose(serialize_message(message)).stamp
+    filled = messages.pose_template("world").fill(latest, messages.doubles(np.zeros(7)))
+    assert deserialize_message(filled, PoseStamped).header.stamp == message.header.stamp
+
+
+@pytest.mark.parametrize("nanoseconds", [-5, 2**62])
+def test_a_clock_that_shows_no_time_of_a_header_gives_the_nearest(nanoseconds):
+    """Whoever publishes /clock may set it to what no header can hold."""
+    clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=nanoseconds))
+    filled = messages.pose_template("world").fill(messages.time_of(clock), messages.doubles(np.zeros(7)))
+    assert deserialize_message(filled, PoseStamped).header.stamp.sec == (0 if nanoseconds < 0 else 2**31 - 1)
+
+
+def test_a_refusal_shows_the_beginning_of_a_long_frame_id():
+    """What anyone sends is told again in the log, and on /diagnostics every second."""
+    refusal = checked(pose_message(frame_id="a" * 1_000_000))
+    assert len(refusal) < 200
+    assert "999920 characters more" in refusal
 
 
 @for_each(
