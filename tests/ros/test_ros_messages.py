@@ -10,6 +10,7 @@ import math
 import numpy as np
 import pytest
 import ros_helpers  # noqa: F401  (skips without ROS; checks fields of messages)
+from cases import for_each
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
@@ -34,7 +35,7 @@ def stamped(kind, frame_id):
     return message
 
 
-@pytest.mark.parametrize("frame_id", ["w", "world", "finger_world_aligned"])
+@for_each("frame_id", ["w", "world", "finger_world_aligned"])
 def test_a_wrench_arrives_as_the_message(frame_id):
     """A filled template arrives as the message, whatever the length of the frame's name."""
     values = RNG.normal(size=6)
@@ -46,7 +47,7 @@ def test_a_wrench_arrives_as_the_message(frame_id):
     assert deserialize_message(filled, WrenchStamped) == message
 
 
-@pytest.mark.parametrize("frame_id", ["w", "world", "finger_world_aligned"])
+@for_each("frame_id", ["w", "world", "finger_world_aligned"])
 def test_a_pose_arrives_as_the_message(frame_id):
     """A filled template arrives as the message; float32 and int values as what they are."""
     values = (np.float32(1.5), 1, -2.0, 0.0, 0.0, 0.0, 1)
@@ -141,8 +142,8 @@ def checked(message):
     return messages.check_pose(messages.read_pose(serialize_message(message)), "world")
 
 
-@pytest.mark.parametrize("frame_id", ["", "w", "map", "base", "world", "tool_0", "fingers", "ängström", "a" * 1000])
-@pytest.mark.parametrize("swapped", [False, True])
+@for_each("frame_id", ["", "w", "map", "base", "world", "tool_0", "fingers", "ängström", "a" * 1000])
+@for_each("swapped", [False, True])
 def test_a_pose_is_read_as_it_was_sent(frame_id, swapped):
     """Whatever the length of the frame's name, and whatever order its bytes are in: written by rclpy and by rosbags."""
     values = tuple(RNG.normal(size=7).tolist())
@@ -156,19 +157,15 @@ def test_a_pose_is_read_as_it_was_sent(frame_id, swapped):
     assert messages.read_pose(data) == (STAMP, frame_id, values)
 
 
-@pytest.mark.parametrize(
-    "data",
-    [b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 12, b"\7" * 96, WHOLE[:40], WHOLE[:-1]],
-    ids=["nothing", "header only", "a name without end", "no CDR", "cut in the position", "a byte short"],
-)
+@for_each("data", [b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 12, b"\7" * 96, WHOLE[:40], WHOLE[:-1]])
 def test_bytes_that_are_no_pose_are_refused(data):
     """Cut off, or never one."""
     with pytest.raises(ValueError, match="bytes that are no PoseStamped"):
         messages.read_pose(data)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "says"),
+@for_each(
+    "wrong, says",
     [
         ({"frame_id": "map"}, "frame_id 'map'"),
         ({"frame_id": ""}, "frame_id ''"),
