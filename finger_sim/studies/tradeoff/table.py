@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...console import table
+from ...plain import whole_file
 from ...scene import Scene
 from .grid import Point, is_how
 from .measures import UNFELT, Errors, errors, jitter, overshoot, peak_force, unsolved
@@ -157,7 +158,7 @@ def _settings(scene: Scene) -> dict[str, Any]:
 def write_csv(rows: Sequence[Row], path: Path) -> Path:
     """All rows; what is not known is left empty. Raises TradeoffError when the file cannot be written."""
     try:
-        with path.open("w", newline="", encoding="utf-8") as file:
+        with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow([f.name for f in fields(Row)])
             for one in rows:
