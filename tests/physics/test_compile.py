@@ -29,10 +29,19 @@ def tiny(root: Path) -> Path:
     for file in (physics / "__init__.py", physics.parent / "__init__.py", physics.parent / "apart.py"):
         file.touch()
     (physics.parent / "numbers.py").write_text("TEN = 10.0\n")
+    (physics.parent / "late").mkdir()
+    (physics.parent / "late" / "three.py").touch()
+    (physics.parent / "late" / "four.py").touch()
+    (physics.parent / "late" / "__init__.py").write_text(
+        "from typing import TYPE_CHECKING\n\n"
+        "if TYPE_CHECKING:\n    from .three import THREE\n    from .four import FOUR\n"
+        "def __getattr__(name):\n    return 3.0\n"
+    )
     (physics / "callee.py").write_text(
         "from .compile import stage\n\n@stage\ndef twice(x):\n    return 2.0 * x\n",
     )
     (physics / "step.py").write_text(
+        "from ..late import THREE\n"
         "from ..numbers import TEN\nfrom .callee import twice\nfrom .compile import kernel\n\n"
         "@kernel\ndef step(x):\n    return TEN + twice(x)\n",
     )
@@ -103,7 +112,8 @@ def test_sources_are_those_that_imports_lead_to(tmp_path: Path) -> None:
     found = sources.imported(package, [package / "physics" / "step.py"])
     names = {path.relative_to(package).as_posix() for path in found}
     assert names >= {"__init__.py", "numbers.py", "physics/__init__.py", "physics/callee.py", "physics/compile.py"}
-    assert "apart.py" not in names
+    assert names >= {"late/__init__.py", "late/three.py"}  # imported when asked for
+    assert not names & {"apart.py", "late/four.py"}
     of_kernels = sources.imported(PACKAGE, sorted((PACKAGE / "physics").glob("*.py")))
     assert PACKAGE / "arrays.py" in of_kernels
     assert not [path for path in of_kernels if {"ros", "studies", "cli"} & set(path.parts[len(PACKAGE.parts) :])]
