@@ -234,10 +234,10 @@ def test_a_grid_combines(tmp_path):
     [
         ("", "base, sweeps, product, points"),
         ("[1, 2]", "base, sweeps, product, points"),
-        ("sweep: {dt: [0.001]}", "sweep: no such key"),
+        ("sweep: {dt: [0.001]}", "sweep: got {'dt': [0.001]}, allowed: no such key"),
         ("sweeps: [0.001]", "sweeps: got [0.001]"),
         ("sweeps: {dt: 0.001}", "sweeps.dt: got 0.001, allowed: a list"),
-        ("points: [3]", "points: allowed"),
+        ("points: [3]", "points[0]: got 3, allowed: a block"),
         ("sweeps: {dt: [0.001], dt: [1]}", "given twice"),
         ("sweeps: {dt: [-1]}", "dt: got -1"),
         ("sweeps: {dt: [0.099]}", "dt: got 0.099, allowed: at most a third of"),
@@ -247,10 +247,10 @@ def test_a_grid_combines(tmp_path):
     ],
 )
 def test_mistakes_in_a_grid_are_named_before_anything_runs(block, capsys, text, says):
-    """One line, exit code 2, nothing in the folder."""
+    """One line, and the place where the file has it; exit code 2, nothing in the folder."""
     Path("wrong.yaml").write_text(text)
     assert main(["tradeoff", block, "--grid", "wrong.yaml", "--duration", "0.2"]) == 2
-    said = capsys.readouterr().err.splitlines()[-1]
+    said = next(line for line in capsys.readouterr().err.splitlines() if "error" in line)
     assert said.startswith("finger_sim: error: ")
     assert says in said
     assert not Path("tradeoff").exists()
