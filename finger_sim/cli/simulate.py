@@ -42,6 +42,7 @@ def add_demo(verbs: Any) -> None:
         metavar="DIR",
         help="new folder for bag, picture and log (default: finger_sim_demo, finger_sim_demo_2 …)",
     )
+    add("--strict", action="store_true", help="exit code 1 also where this machine did not hold the rate")
 
 
 def _demo(options: argparse.Namespace) -> int:
@@ -57,11 +58,14 @@ def _demo(options: argparse.Namespace) -> int:
         say(f"finger_sim: the demo failed: {error}")
         return FAILED
     console().print(outcome.table())
-    for note in outcome.notes:
-        say(f"finger_sim: {note}")
+    for shortfall in outcome.shortfalls:
+        say(f"finger_sim: not held by this machine: {shortfall}")
+    for advice in outcome.advice:
+        say(f"finger_sim: advice: {advice}")
     for failure in outcome.failures:
         say(f"finger_sim: the demo failed: {failure}")
-    return FAILED if outcome.failures else DONE
+    failed = outcome.failures or (options.strict and outcome.shortfalls)
+    return FAILED if failed else DONE
 
 
 def add_run(verbs: Any) -> None:

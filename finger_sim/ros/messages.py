@@ -31,6 +31,11 @@ _HEADER, _POSE = struct.Struct("<iII"), struct.Struct("<7d")
 _STAMP_OFFSET = 4
 """Where a message that begins with a header has its stamp: after the 4 bytes that name the encoding."""
 
+LATEST = (1 << 31) * 1_000_000_000 - 1
+"""The last time that the header of a message can hold [ns]."""
+_SHOWN = 80
+"""Characters of a frame_id that a refusal shows: what anyone sends is told again in logs and every second."""
+
 RAMP = np.array([[0.16, 0.30, 0.62], [0.22, 0.62, 0.75], [0.62, 0.82, 0.47], [0.97, 0.76, 0.26], [0.80, 0.16, 0.16]])
 """Colours (5, 3) of mesh_marker for 0, ¼, ½, ¾ and 1 (at the limit)."""
 
@@ -123,7 +128,7 @@ class StampedPose(NamedTuple):
 
 
 def read_pose(data: bytes) -> StampedPose:
-    """A PoseStamped in CDR bytes. Raises ValueError for bytes that are none.
+    """A PoseStamped in CDR bytes. Raises ValueError for bytes that are none, and for a stamp that is no time.
 
     The usual encoding is read in place, in a tenth of the time that rclpy takes.
     """
@@ -133,14 +138,26 @@ def read_pose(data: bytes) -> StampedPose:
         pose = end + (_STAMP_OFFSET - end) % 8
         if length and len(data) >= pose + _POSE.size:
             frame_id = data[end - length : end - 1].decode(errors="replace")
-            return StampedPose(seconds * 1_000_000_000 + nanoseconds, frame_id, _POSE.unpack_from(data, pose))
+            return StampedPose(_stamp(seconds, nanoseconds), frame_id, _POSE.unpack_from(data, pose))
     try:
         message = deserialize_message(data, PoseStamped)
     except Exception:
         raise ValueError(f"{len(data)} bytes that are no PoseStamped") from None
     p, q, stamp = message.pose.position, message.pose.orientation, message.header.stamp
     values = (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
-    return StampedPose(stamp.sec * 1_000_000_000 + stamp.nanosec, message.header.frame_id, values)
+    return StampedPose(_stamp(stamp.sec, stamp.nanosec), message.header.frame_id, values)
+
+
+def time_of(clock: Any) -> int:
+    """What a ROS clock shows [ns], as the header of a message can hold it: under use_sim_time anyone may set it."""
+    return min(max(int(clock.now().nanoseconds), 0), LATEST)
+
+
+def _stamp(seconds: int, nanoseconds: int) -> int:
+    """Stamp of a header [ns]. Raises ValueError where it is no time."""
+    if seconds < 0 or nanoseconds >= 1_000_000_000:
+        raise ValueError(f"stamp of {seconds} s and {nanoseconds} ns, must be sec >= 0 and nanosec < 1000000000")
+    return seconds * 1_000_000_000 + nanoseconds
 
 
 def check_pose(message: StampedPose, world_frame: str) -> Pose | str:
@@ -149,7 +166,9 @@ def check_pose(message: StampedPose, world_frame: str) -> Pose | str:
     An empty frame_id is refused as any other wrong one: whoever sends it has not said which frame is meant.
     """
     if message.frame_id != world_frame:
-        return f"frame_id {message.frame_id!r}, must be {world_frame!r}"
+        frame_id = message.frame_id
+        cut = f" and {len(frame_id) - _SHOWN} characters more" if len(frame_id) > _SHOWN else ""
+        return f"frame_id {frame_id[:_SHOWN]!r}{cut}, must be {world_frame!r}"
     try:
         x, y, z, qx, qy, qz, qw = message.values
         return checked_pose(Pose((x, y, z), (qx, qy, qz, qw)))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import for_each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -86,7 +87,7 @@ def test_touch_height_of_a_box() -> None:
     assert touch_height(corners, SIDE) == pytest.approx(3.0 * math.cos(tilt) + math.sin(tilt), abs=1e-14)
 
 
-@pytest.mark.parametrize("name", BAGS)
+@for_each("name", BAGS)
 def test_shipped_bag(name: str) -> None:
     """4 to 8 s at 500 Hz in less than 400 kB, in the world frame, pressing as deep as its name says."""
     path = shipped("bags") / name
@@ -233,8 +234,8 @@ def test_repeats(tmp_path: Path) -> None:
         imported(tmp_path, REPEATS, where={"trial": "9"})
 
 
-@pytest.mark.parametrize(
-    ("text", "error"),
+@for_each(
+    "text, error",
     [
         ("", "poses.csv: is empty"),
         ("# only a comment\n", "poses.csv: is empty"),
