@@ -123,7 +123,9 @@ class Simulator:
             if self._ground is None:
                 raise SceneError("plane", None, "a scene with a plane, to move it")
             plane = checked_pose(plane, "plane")
-        if command is None or command is self._given or (self._guard.asleep and command == self._given):
+        if command is None or command is self._given:
+            return None, plane
+        if self._guard.asleep and isinstance(command, Pose) and command == self._given:
             return None, plane
         self._given, command = command, checked_pose(command, "command")
         return command, plane
