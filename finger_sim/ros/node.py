@@ -316,7 +316,7 @@ def main(args: list[str] | None = None) -> int:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = FingerNode()
     except (FingerSimError, ParameterException, RuntimeError) as error:
-        print(f"finger_node: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"finger_node: {error}", file=sys.stderr)
         return 1
     try:
         return node.run(stop)

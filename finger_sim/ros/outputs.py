@@ -13,18 +13,18 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped, WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
 from ..arrays import Floats
 from ..bags import cdr
-from ..bags.layout import express_wrench, node_strain, pack_points, place, wrench_frame_id
+from ..bags.layout import express_wrench, node_strain, pack_points, wrench_frame_id
 from ..bags.reader import Qos
-from ..scene import Pose
+from ..scene import Pose, place
 from ..scene.mesh import TetMesh
-from ..simulation.simulator import Simulator, StepResult
+from ..simulation.result import StepResult
+from ..simulation.simulator import Simulator
 from . import messages
 from .options import NodeOptions
 from .recorder import RecordedTopic, Recorder
@@ -87,7 +87,7 @@ class Outputs:
         self._areas = np.maximum(messages.node_areas(mesh.points, mesh.surface), 1e-12)
         for topic in self.recorded_topics():
             cdr.definition(topic.type)
-        self.topology = serialize_message(messages.topology_message(mesh.points, mesh.surface))
+        self.topology = cdr.mesh(mesh.points, mesh.surface)
         self.send("mesh_topology", self.topology)
 
     def recorded_topics(self) -> list[RecordedTopic]:

@@ -16,7 +16,8 @@ from ..haptics.coupling import device_wrench, displacement
 from ..haptics.passivity import NONE, Port
 from ..physics.step import Status
 from ..scene import Pose, Scene
-from ..simulation.simulator import Simulator, StepResult
+from ..simulation.result import StepResult
+from ..simulation.simulator import Simulator
 from .inbox import Command
 from .loop import Recent
 from .messages import time_of
@@ -118,7 +119,7 @@ class Stepper:
             out = self.sim.step(None, plane)
         else:
             if self._followed is None:
-                self.sim.reset(command.pose)
+                self.sim.reset(command.pose, newest)
             out = self.sim.step(command.pose, plane)
         if self.budget is not None and self.budget.spent(time.perf_counter() - begin):
             self.sim.solve_with(on_rung(self.scene.solver, self.budget.rung))

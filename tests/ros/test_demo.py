@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import for_each
 from rich.console import Console
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'finger_sim[ros]'")
@@ -26,6 +27,8 @@ from finger_sim.ros.demo_verdict import held_rate
 from finger_sim.ros.loop import StepCounts
 from finger_sim.ros.play import Played
 from finger_sim.scene.resources import find_bag
+
+pytestmark = pytest.mark.ros
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ROWS = (
@@ -109,7 +112,7 @@ def outcome(done, tmp_path):
     return demo.sum_up(done[3] / "recording", tmp_path / "log", tmp_path / "demo.png", played, scene, 350, FLOOR, 20)
 
 
-@pytest.mark.parametrize(("late", "above", "noted"), [(19, "0.40 %", 0), (25, "1.00 %", 1), (0, "-1.50 %", 0)])
+@for_each("late, above, noted", [(19, "0.40 %", 0), (25, "1.00 %", 1), (0, "-1.50 %", 0)])
 def test_the_table_tells_late_steps_beside_those_of_a_bare_loop(outcome, late, above, noted):
     """The node's, the bare loop's, the difference and what is wanted; too many are told, and are no failure."""
     outcome.rate = 100.0
@@ -219,7 +222,7 @@ def test_both_loops_get_the_priority_that_is_permitted(tmp_path, capsys, monkeyp
     assert ("priority 7 is not permitted here" in capsys.readouterr().err) == (not permitted and given != "0")
 
 
-@pytest.mark.parametrize("given", ["-1", "100", "high"])
+@for_each("given", ["-1", "100", "high"])
 def test_a_priority_that_does_not_exist_is_refused(capsys, given):
     """Exit code 2, with what is allowed."""
     with pytest.raises(SystemExit, match="2"):
@@ -247,8 +250,8 @@ def test_a_lost_message_fails_the_demo(done, tmp_path, monkeypatch, gone, counte
         assert len(outcome.losses) == (len(failures) + 1 if counted else 0)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
+@for_each(
+    "arguments, says",
     [
         (("--scene", "nowhere"), "nowhere"),
         (("--scene", "broken.yaml"), "material.young: got -1"),
@@ -269,7 +272,7 @@ def test_mistakes_are_named_before_a_node_is_started(tmp_path, capsys, monkeypat
     monkeypatch.setattr(demo, "bare_loop", lambda *_: pytest.fail("a loop was started"))
     Path("broken.yaml").write_text("mesh: {beam: {}}\nmaterial: {young: -1}\n")
     Path("meshless.yaml").write_text("mesh: {beam: {}}\ndriven: bone\n")
-    Path("full").mkdir()
+    Path("full").mkdir(exist_ok=True)
     Path("full/mine.txt").write_text("keep")
     before = sorted(tmp_path.iterdir())
     assert main(["demo", *arguments]) == 2
@@ -336,7 +339,9 @@ def test_a_node_that_dies_fails_the_demo(tmp_path, capsys, monkeypatch, then, sa
     assert says in err
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
+)
 def test_a_signal_ends_the_demo_and_its_node(tmp_path, number, code):
     """While commands are played: the node is gone, its bag closed, no traceback."""
     run = process("demo", "--rate", "100", "--out", "out", cwd=tmp_path)

@@ -27,6 +27,8 @@ from visualization_msgs.msg import Marker
 
 from finger_sim.bags.reader import BagReader
 
+pytestmark = pytest.mark.ros
+
 REPORTED = {
     "real-time factor", "step time p50 [ms]", "step time p99 [ms]", "overruns", "late steps", "iterations",
     "residual", "active rows", "max strain/limit", "penetration [mm]", "status", "command age [s]",
@@ -53,6 +55,7 @@ def client(node):
 
 def test_before_any_command_steps_are_sent_with_no_force(client):
     """The finger rests at the scene's initial pose; the wrench of free air is zero; stamps rise."""
+    begin = time.time_ns()
     wrenches = client.collect(WrenchStamped, "contact_wrench")
     devices = client.collect(WrenchStamped, "device_wrench")
     poses = client.collect(PoseStamped, "pose")
@@ -63,7 +66,7 @@ def test_before_any_command_steps_are_sent_with_no_force(client):
     assert devices[0].header.frame_id == "finger_world_aligned"
     assert poses[0].header.frame_id == "world"
     assert all(a < b for a, b in itertools.pairwise(map(stamp, wrenches)))
-    assert {w.header.stamp.sec for w in wrenches[-1:]} <= {int(time.time()) + d for d in (-2, -1, 0, 1)}
+    assert begin < stamp(wrenches[-1]) < time.time_ns()
 
 
 def test_topics_have_the_types_and_qualities_of_the_contract(client):
@@ -268,15 +271,14 @@ def test_a_budget_is_held_by_giving_up_accuracy_and_says_so(client):
     assert "accuracy" not in client.report()[1]
 
 
-def test_no_point_cloud_is_made_for_nobody(tmp_path):
+def test_no_point_cloud_is_made_for_nobody(client):
     """Without a subscriber or a recording none is made; with one they are."""
-    arguments = ("-p", f"scene:={write_block(tmp_path)}")
-    with NodeProcess(tmp_path / "log", *arguments) as node, Client(node.domain) as client:
-        node.wait_for("ready after")
-        assert client.report()[1]["mesh messages"] == "0"
-        client.next(client.collect(PointCloud2, "mesh_points"))
-        assert int(client.report()[1]["mesh messages"]) > 0
-        assert node.end() == 0
+    client.until(lambda: client.node.count_subscribers("mesh_points") == 0)
+    made = lambda: int(client.report()[1]["mesh messages"])  # noqa: E731
+    before = made()
+    assert made() == before
+    client.next(client.collect(PointCloud2, "mesh_points"))
+    assert made() > before
 
 
 def test_reset_says_the_pose(client):
@@ -430,7 +432,7 @@ def test_a_peer_cannot_choose_where_bags_go(client, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_signal_ends_the_node_with_its_bag_closed(tmp_path, number):
     """Exit code 0, bag whole, names remapped in it; sim time does not stop the watchdog."""
     bag = tmp_path / "bag"

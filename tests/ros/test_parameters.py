@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import for_each
 from ros_helpers import Client, NodeProcess, write_block
 
 from finger_sim import FingerSimError, Scene, SceneError
@@ -15,6 +16,8 @@ from finger_sim.ros import parameters, rclpy_private
 from finger_sim.ros.options import NodeOptions
 from finger_sim.ros.parameters import to_ros
 from finger_sim.scene.fields import specs
+
+pytestmark = pytest.mark.ros
 
 SCENE = Scene.from_dict(
     {
@@ -62,10 +65,7 @@ def parsed(name, value):
     return next(p.value for p in scene.parameters() if p.name == name)
 
 
-REFUSED = [pytest.param(p.name, value, id=f"{p.name}={value}") for p in ALL for value in beyond(p)]
-
-
-@pytest.mark.parametrize(("name", "value"), REFUSED)
+@for_each("name, value", [(p.name, value) for p in ALL for value in beyond(p)])
 def test_an_override_beyond_a_bound_is_refused_by_name(name, value):
     """The error names parameter, value and what is allowed."""
     with pytest.raises(SceneError) as caught:
@@ -74,14 +74,14 @@ def test_an_override_beyond_a_bound_is_refused_by_name(name, value):
     assert caught.value.allowed
 
 
-@pytest.mark.parametrize("parameter", ALL, ids=lambda p: p.name)
+@for_each("parameter", ALL)
 def test_values_survive_the_way_through_ros(parameter):
     """A value made a ROS parameter and read back is the value, null included."""
     back = parsed(parameter.name, to_ros(parameter.value, parameter.spec))
     assert back == parameter.value or np.allclose(back, parameter.value, rtol=1e-15)
 
 
-@pytest.mark.parametrize("parameter", ALL, ids=lambda p: p.name)
+@for_each("parameter", ALL)
 def test_descriptors_say_what_the_field_says(parameter):
     """Doc, unit, range and read-only of the descriptor are those of the field."""
     spec, shown = parameter.spec, parameters.descriptor(parameter)
@@ -200,10 +200,7 @@ def test_the_node_describes_unit_and_range(client):
     assert (shown.floating_point_range[0].from_value, shown.floating_point_range[0].to_value) == (0.0, 1e6)
 
 
-LIVE = [pytest.param(p.name, v, id=f"{p.name}={v}") for p in ALL if p.spec.live for v in beyond(p)]
-
-
-@pytest.mark.parametrize(("name", "value"), LIVE)
+@for_each("name, value", [(p.name, value) for p in ALL if p.spec.live for value in beyond(p)])
 def test_the_running_node_refuses_what_is_beyond_a_bound(client, name, value):
     """The reason names the parameter; the value stays."""
     before = client.get(name)
@@ -214,14 +211,12 @@ def test_the_running_node_refuses_what_is_beyond_a_bound(client, name, value):
     assert client.get(name) == before
 
 
-@pytest.mark.parametrize(
-    "name", ["dt", "scene", "material.young", "limits.stretch", "record_queue", "record_directory"]
-)
-def test_the_running_node_refuses_what_needs_a_rebuild(client, name):
+def test_the_running_node_refuses_what_needs_a_rebuild(client):
     """Read-only parameters stay as they are."""
-    result = client.set(name, client.get(name))
-    assert not result.successful
-    assert name in result.reason
+    for name in ("dt", "scene", "material.young", "limits.stretch", "record_queue", "record_directory"):
+        result = client.set(name, client.get(name))
+        assert not result.successful, name
+        assert name in result.reason
 
 
 def test_a_whole_number_is_a_number(client):
@@ -231,26 +226,35 @@ def test_a_whole_number_is_a_number(client):
     assert client.set("plane.friction", 0.25).successful
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["-p", "scene:=no_such_scene"], "no_such_scene"),
-        (["-p", "dt:=0.5"], "dt"),
-        (["-p", "dt:=[0.1"], "dt"),
-        (
-            ["-p", "plane.fricton:=0.2"],
-            "plane.fricton: got 0.2, allowed: no value: the node has no such parameter; did",
-        ),
-        (["-p", "record:=true"], "record: got True, allowed: a text (Path of a bag"),
-        (["-p", "wrench_frame:=sensor"], "wrench_frame"),
-        (["-p", "record:=/proc/no/such/place"], "/proc/no/such/place"),
-    ],
-    ids=lambda v: v[-1] if isinstance(v, list) else "",
-)
-def test_a_start_that_cannot_work_ends_with_one_line(tmp_path, arguments, says):
+STARTS = """
+import sys, rclpy
+from finger_sim.ros.node import main
+scene, *overrides = sys.argv[1:]
+for override in overrides:
+    code = main(["--ros-args", "-p", f"scene:={scene}", "-p", override])
+    rclpy.try_shutdown()
+    print("ended with", code, file=sys.stderr, flush=True)
+"""
+
+
+def test_a_start_that_cannot_work_ends_with_one_line(tmp_path):
     """Exit code not 0, the reason by name, no traceback."""
-    scene = write_block(tmp_path)
-    with NodeProcess(tmp_path / "log", "-p", f"scene:={scene}", *arguments) as node:
-        assert node.code() != 0
-        assert says in node.output
-        assert "Traceback" not in node.output
+    starts = {
+        "scene:=no_such_scene": "no_such_scene",
+        "dt:=0.5": "dt",
+        "dt:=fast": "dt",
+        "dt:=[0.1": "dt",
+        "plane.friction:=-1.0": "plane.friction",
+        "plane.fricton:=0.2": "plane.fricton: got 0.2, allowed: no value: the node has no such parameter; did",
+        "record:=true": "record: got True, allowed: a text (Path of a bag",
+        "wrench_frame:=sensor": "wrench_frame",
+        "record:=/proc/no/such/place": "/proc/no/such/place",
+    }
+    with NodeProcess(tmp_path / "log", program=("-c", STARTS, str(write_block(tmp_path)), *starts)) as node:
+        assert node.code() == 0, node.output
+        output = node.output
+    assert "Traceback" not in output
+    said = output.split("ended with 1\n")
+    assert len(said) == len(starts) + 1, output
+    for text, (override, says) in zip(said, starts.items(), strict=False):
+        assert says in text, override

@@ -15,6 +15,8 @@ from finger_sim import Scene
 from finger_sim.bags.reader import BagReader
 from finger_sim.simulation import replay
 
+pytestmark = pytest.mark.ros
+
 
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
@@ -176,7 +178,7 @@ def test_a_recording_replays_to_the_last_bit(tmp_path):
             client.until(lambda k=k: k % 3 or k in numbers(poses))
         client.until(lambda: 99 in numbers(poses))
         assert node.end() == 0
-    summary = replay.run(Scene.load(str(scene)), bag, tmp_path / "again", mode="triggered")
+    summary = replay.run(Scene.load(str(scene)), bag, tmp_path / "again", replay.Selection(mode="triggered"))
     assert summary.steps == 100
     live, again = (
         [m.data[-48:] for m in BagReader(path).messages(["/contact_wrench"])] for path in (bag, tmp_path / "again")

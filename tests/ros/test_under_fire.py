@@ -21,6 +21,8 @@ from shape_msgs.msg import Mesh
 
 from finger_sim.bags.reader import BagReader
 
+pytestmark = pytest.mark.ros
+
 RELIABLE = "qos_overrides./command_pose.subscription.reliability:=reliable"
 MANY = QoSProfile(depth=1000)
 
@@ -212,7 +214,7 @@ def test_a_storm_of_parameters_is_answered_one_by_one(client):
     assert client.get("plane.friction") == 0.001 * 299
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM])
 def test_it_ends_while_it_compiles(tmp_path, number):
     """Code 0, without a traceback; the bag that was asked for was not begun."""
     arguments = ("-p", f"scene:={write_block(tmp_path)}", "-p", f"record:={tmp_path / 'bag'}")

@@ -1,7 +1,7 @@
 """The presets that the study justifies: finger_haptic, solved in four ways, each with what it was measured to do.
 
 `python -m finger_sim.studies.tradeoff.presets FOLDER` measures and writes them anew: NAME.yaml and claims.yaml,
-which tests/test_tradeoff.py holds them to.
+which tests/studies/tradeoff/test_tradeoff.py holds them to.
 """
 
 from __future__ import annotations
