@@ -22,6 +22,7 @@ from finger_sim.physics.work import WORK
 from finger_sim.pictures.surfaces import new_figure, save
 from finger_sim.studies.bench import passes
 from finger_sim.studies.bench.scenes import PHASES, Ours, press_and_slide, touch_height
+from finger_sim.studies.shared import pinned
 
 AWAKE = {"solver.sleep": False, "solver.settle": False}
 FREE = [None] * 3
@@ -60,7 +61,7 @@ def main() -> None:
     whole = Scene.load(args.scene).with_values(AWAKE)
     motion = press_and_slide(touch_height(whole), whole.dt)
     runners = {name: Ours(whole.with_values(values), motion) for name, values in VARIANTS.items()}
-    with passes.pinned(None), gauge("ablation") as meter:
+    with pinned(None), gauge("ablation") as meter:
         records = passes.interleaved(runners, args.repeats, meter)
     medians = {
         name: np.array([np.median(record.seconds[:, motion.phase == k]) for k in range(len(PHASES))])

@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from finger_sim import Pose, Scene, Simulator
-from finger_sim.studies.strokes import poses
+from finger_sim.studies.shared import poses
 
 CONVERGED = {"solver.tolerance": 1e-6, "solver.max_iterations": 5_000}
 

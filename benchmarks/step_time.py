@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from finger_sim import Scene, Simulator, Status
-from finger_sim.studies.strokes import poses
+from finger_sim.studies.shared import poses
 
 BANDS = [(0, 0), (1, 39), (40, 99), (100, 199), (200, 10**9)]
 

@@ -133,7 +133,7 @@ def _stress(options: argparse.Namespace) -> int:
         report = stress(what, meter)
     console().print(summary(report))
     if options.plot:
-        from ..studies.stress.picture import draw
+        from ..studies.stress.stress import draw
 
         draw(report, options.plot)
     if report.left_out:
@@ -173,7 +173,12 @@ def add_tradeoff(verbs: Any) -> None:
         help="YAML of what to change: `base`: {KEY: VALUE} in all points, `sweeps`: {KEY: [VALUE, …]} one at a time, "
         "`product`: {KEY: [VALUE, …]} all combinations, `points`: [{KEY: VALUE, …}, …]; keys are dotted",
     )
-    add("--scheduler", metavar="ADDRESS", help="a Dask scheduler, tcp://HOST:PORT (default: own processes here)")
+    add(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="a Dask scheduler, tcp://HOST:PORT (default: own processes here); "
+        "plain TCP with pickles: whoever reaches it runs code here and there, so only in a network that you trust",
+    )
     add("--workers", type=one_or_more, metavar="N", help="own processes (default: one for each processor)")
     add(
         "--for-rate",
@@ -195,7 +200,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
         return _for_rate(options)
     from ..console import console, say
     from ..studies.tradeoff.grid import DEFAULT, Grid
-    from ..studies.tradeoff.report import summary
+    from ..studies.tradeoff.table import summary
     from ..studies.tradeoff.tradeoff import SCENES, Options, tradeoff
 
     what = Options(
@@ -217,8 +222,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
 
 def _for_rate(options: argparse.Namespace) -> int:
     from ..console import console, gauge, say
-    from ..studies.tradeoff.rate import for_rate
-    from ..studies.tradeoff.report import tried, words
+    from ..studies.tradeoff.rate import for_rate, tried, words
 
     for name in ("grid", "scheduler", "workers"):
         if getattr(options, name) is not None:

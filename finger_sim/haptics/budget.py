@@ -1,34 +1,50 @@
 """A time budget for steps: down a ladder of accuracy while they take too long, and back up when they do not.
 
-The node holds `solver.budget_ms` with it. What each rung costs in accuracy is measured: `python benchmarks/budget.py`.
+The node holds `solver.budget_ms` with it. What a rung costs in accuracy depends on the scene: `claimed` knows it of
+those scenes for which `python -m finger_sim.studies.tradeoff.rungs` measured it.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 from collections import deque
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from ..scene import Solver
+import numpy as np
+import yaml
+
+from ..plain import plain
+from ..scene import Scene, Solver
+from ..scene.mesh import TetMesh
+from ..scene.resources import shipped
 
 
-class Rung(NamedTuple):
-    """Settings of one rung, and what they cost."""
+class Cut(NamedTuple):
+    """What a rung takes away from the accuracy that a scene asks for."""
 
     name: str
     tolerance: float  # at least
     lagged: bool  # one stiffness matrix for four steps (`newton`)
     iterations: int  # at most
-    error: str  # of contact force through `press_slide` with `finger_haptic`, rms, of the peak
 
 
-LADDER = (
-    Rung("scene", 0.0, False, 1_000_000, "as the scene has it"),
-    Rung("coarse", 1e-2, False, 1_000_000, "0.05 %"),
-    Rung("lagged", 1e-2, True, 1_000_000, "0.1 %"),
-    Rung("capped", 5e-2, True, 2, "2 %"),
+class Rung(NamedTuple):
+    """A scene's solver settings on one rung of its ladder."""
+
+    name: str
+    solver: Solver
+
+
+CUTS = (
+    Cut("coarse", 1e-2, False, 1_000_000),
+    Cut("lagged", 1e-2, True, 1_000_000),
+    Cut("capped", 5e-2, True, 2),
 )
 """From the best to the quickest."""
+CLAIMS = "presets/rungs.yaml"
+"""Measured errors of rungs, in the folder of the shipped scenes."""
 WINDOW = 50
 """Steps that are looked at together."""
 OVER = 5
@@ -39,11 +55,53 @@ PATIENCE, MOST_PATIENCE = 500, 16_000
 """Steps on a rung before the next one up is tried; twice as many each time that was too early, up to the second."""
 
 
-class Budget:
-    """Which rung to stand on; told how long each step took."""
+def ladder(solver: Solver) -> tuple[Rung, ...]:
+    """The rungs of a scene with this solver, its own settings first; without those that would change nothing."""
+    rungs = [Rung("scene", solver)]
+    for cut in CUTS:
+        lags = cut.lagged and solver.method == "newton" and solver.relinearizations == 0
+        settings = dataclasses.replace(
+            solver,
+            tolerance=max(solver.tolerance, cut.tolerance),
+            level="lagged" if lags else solver.level,
+            max_iterations=min(solver.max_iterations, cut.iterations),
+        )
+        if settings != rungs[-1].solver:
+            rungs.append(Rung(cut.name, settings))
+    return tuple(rungs)
 
-    def __init__(self, seconds: float) -> None:
+
+def fingerprint(scene: Scene, mesh: TetMesh) -> str:
+    """Of all values that decide how large a rung's error is; wherever the mesh's file lies.
+
+    A body that sleeps is not stepped, a budget leads to rungs and is none, and motions have a start of their own.
+    """
+    values: dict[str, Any] = scene.to_dict()
+    del values["mesh"], values["initial_pose"]
+    values["solver"] = {key: value for key, value in values["solver"].items() if key not in ("budget_ms", "sleep")}
+    whole = hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode())
+    driven = scene.driven_nodes(mesh)
+    for array in (mesh.points, mesh.tets, mesh.axes, driven):
+        whole.update(np.ascontiguousarray(array).tobytes())
+    return whole.hexdigest()[:16]
+
+
+def claimed(scene: Scene, mesh: TetMesh) -> dict[str, float]:
+    """Error of contact force of each rung, rms as a part of the peak force; empty: not measured for this scene."""
+    try:
+        claims = yaml.safe_load((shipped("config") / CLAIMS).read_text(encoding="utf-8"))
+    except (OSError, yaml.YAMLError):
+        return {}
+    mine = fingerprint(scene, mesh)
+    return next((measured["rms"] for measured in claims["scenes"].values() if measured["fingerprint"] == mine), {})
+
+
+class Budget:
+    """Which of so many rungs to stand on; told how long each step took."""
+
+    def __init__(self, seconds: float, rungs: int) -> None:
         self.seconds = seconds
+        self.last = rungs - 1
         self.rung = 0
         self.moves = 0
         """Times the rung changed."""
@@ -71,22 +129,10 @@ class Budget:
         return False
 
     def _move(self, down: int) -> bool:
-        rung = min(self.rung + down, len(LADDER) - 1)
+        rung = min(self.rung + down, self.last)
         if rung == self.rung:
             return False
         self.rung, self._since, self._tried = rung, 0, down < 0
         self.moves += 1
         self._times.clear()
         return True
-
-
-def on_rung(solver: Solver, rung: int) -> Solver:
-    """The solver settings of a scene on a rung of the ladder. `lagged` is for `newton`, linearised once a step."""
-    step = LADDER[rung]
-    lags = step.lagged and solver.method == "newton" and solver.relinearizations == 0
-    return dataclasses.replace(
-        solver,
-        tolerance=max(solver.tolerance, step.tolerance),
-        level="lagged" if lags else solver.level,
-        max_iterations=min(solver.max_iterations, step.iterations),
-    )

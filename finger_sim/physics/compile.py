@@ -1,16 +1,34 @@
-"""`kernel`: how every compiled function of this package is compiled, and where its machine code is kept."""
+"""`kernel`: how every compiled function of this package is compiled, and where its machine code is kept.
+
+Machine code is kept by what is in the sources, not by where they lie or when they were written: a second environment
+with the same package finds it. numba's own cache goes by place and time, and looks only at the file of the function
+itself: after an edit of a callee in another file it would go on using the old one.
+"""
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import hashlib
+import importlib.machinery
+import logging
 import os
+import shutil
+import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import llvmlite
+import llvmlite.binding
 import numba
+import numpy as np
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+
+from .folders import UnsafeError, alone, use
+from .sources import digest, imported
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -18,32 +36,103 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 # the process that compiles than in those that load its code, so that a replay would not repeat on a fresh cache.
 FASTMATH = {"contract"}
 
+OPTIONS = (
+    "OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "ENABLE_AVX", "BOUNDSCHECK", "CPU_NAME", "CPU_FEATURES",
+    "DEBUGINFO_DEFAULT", "EXTEND_VARIABLE_LIFETIMES", "DISABLE_INTEL_SVML", "USING_SVML", "LLVM_REFPRUNE_PASS",
+    "LLVM_REFPRUNE_FLAGS", "ENABLE_PROFILING",
+)  # fmt: skip
+"""Settings of numba (NUMBA_…) that change the machine code."""
+DONE = "compiled"
+"""Stands in a folder whose kernels a simulator once had all."""
+LOCK = "compiling"
+
+_PACKAGE = Path(__file__).parents[1]
+_log = logging.getLogger(__name__)
+
 
 @cache
-def cache_folder() -> str:
-    """Folder of compiled kernels, one for each state of the sources.
+def code_digest() -> str:
+    """Hash of all that machine code depends on: sources that kernels can take a constant from, compiler, processor."""
+    sources = imported(_PACKAGE, sorted(Path(__file__).parent.glob("*.py")))
+    versions = (
+        numba.__version__, llvmlite.__version__, np.__version__, importlib.machinery.EXTENSION_SUFFIXES[0],
+        llvmlite.binding.get_process_triple(), llvmlite.binding.get_host_cpu_name(),
+        llvmlite.binding.get_host_cpu_features().flatten(),
+        *(f"{name}={getattr(numba.config, name, None)}" for name in OPTIONS),
+    )  # fmt: skip
+    return hashlib.sha256("\n".join([digest(_PACKAGE, sources), *versions]).encode()).hexdigest()
 
-    numba's own cache looks only at the file of the function itself: after an edit of a callee in another file
-    it would go on using the old one. A folder named by a hash over all sources cannot. Place and time of the files
-    are in the hash because numba compiles anew when they change.
+
+@cache
+def cache_folder() -> Path | None:
+    """Folder of compiled kernels, one for each `code_digest`; None: there is nowhere to keep them.
+
+    In NUMBA_CACHE_DIR or XDG_CACHE_HOME, else ~/.cache; where that cannot be used, in the temporary directory. What
+    is there is loaded as code: the folder is ours alone (see `private`), or it is not used.
     """
-    here = Path(__file__).parent
-    digest = hashlib.sha256(f"{numba.__version__} {here}".encode())
-    for source in sorted(here.glob("*.py")):
-        digest.update(f"{source.name} {source.stat().st_mtime_ns} ".encode() + source.read_bytes())
-    home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    folder = Path(home) / "finger_sim" / digest.hexdigest()[:16]
+    name = code_digest()[:16]
+    unsafe = []
+    for home in (_home, _temporary_home):
+        try:
+            return use(home(), name)
+        except UnsafeError as error:
+            unsafe.append(str(error))
+        except (OSError, RuntimeError):
+            pass  # cannot be written, or there is no such directory
+    why = "; ".join(unsafe) or "neither the cache's nor the temporary directory can be used"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return str(folder)
+        folder = Path(tempfile.mkdtemp(prefix="finger_sim-"))
     except OSError:
-        return str(Path(tempfile.gettempdir()) / f"finger_sim-{os.getuid()}" / folder.name)
+        _log.warning("compiled kernels are not kept, every start compiles them anew: %s", why)
+        return None
+    atexit.register(_remove_own, folder, os.getpid())
+    _log.warning("compiled kernels are not kept beyond this process (%s): %s", folder, why)
+    return folder
+
+
+def _home() -> Path:
+    """Raises RuntimeError without a home directory."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
+    return (Path(chosen) if chosen else Path.home() / ".cache").absolute() / "finger_sim"
+
+
+def _temporary_home() -> Path:
+    """Raises FileNotFoundError without a temporary directory."""
+    return Path(tempfile.gettempdir()) / f"finger_sim-{os.geteuid()}"
+
+
+def _remove_own(folder: Path, process: int) -> None:
+    if os.getpid() == process:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def compiled_before() -> bool:
     """Whether kernels of exactly these sources are in the cache: a start will take seconds, not a minute."""
-    return any(Path(cache_folder()).rglob("step.step-*.nbc"))
+    folder = None if numba.config.DISABLE_JIT else cache_folder()
+    return folder is not None and (folder / DONE).exists()
+
+
+@contextlib.contextmanager
+def compiling(tell: Callable[[str], None]) -> Iterator[None]:
+    """For a block that calls every kernel once: says what goes on, and keeps two processes from compiling the same.
+
+    The second waits for the first, and then loads what that one compiled.
+    """
+    folder = None if numba.config.DISABLE_JIT else cache_folder()
+    if folder is None:
+        tell("kernels run uncompiled" if numba.config.DISABLE_JIT else "compiling kernels: up to a minute, not kept")
+        yield
+    elif compiled_before():
+        tell("loading compiled kernels")
+        yield
+    else:
+        with alone(folder / LOCK, lambda: tell("compiling kernels: another process is at it, waiting for its end")):
+            before = compiled_before()
+            tell("loading compiled kernels" if before else "compiling kernels: once on this machine for these sources, "
+                 "up to a minute")  # fmt: skip
+            yield
+            with contextlib.suppress(OSError):
+                (folder / DONE).touch()
 
 
 def kernel(function: Function) -> Function:
@@ -66,18 +155,70 @@ def formula(function: Function) -> Function:
 
 
 def _compiled(function: Function, called_from_python: bool, inline: bool = False) -> Function:
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = cache_folder()
-    try:
-        compiled = numba.njit(
-            cache=True,
-            nogil=True,
-            error_model="numpy",
-            fastmath=FASTMATH,
-            no_cfunc_wrapper=True,
-            no_cpython_wrapper=not called_from_python,
-            forceinline=inline,
-        )(function)
-    finally:
-        numba.config.CACHE_DIR = before
+    compiled = numba.njit(
+        nogil=True,
+        error_model="numpy",
+        fastmath=FASTMATH,
+        no_cfunc_wrapper=True,
+        no_cpython_wrapper=not called_from_python,
+        forceinline=inline,
+    )(function)
+    if not numba.config.DISABLE_JIT and cache_folder() is not None:
+        compiled._cache = _Cache(function)
     return cast(Function, compiled)
+
+
+class _Locator(_CacheLocator):  # type: ignore[misc]
+    """Where numba keeps a function: by its name in `cache_folder`, fresh as long as `code_digest` is the same."""
+
+    def __init__(self, function: Any) -> None:
+        self._py_file = function.__code__.co_filename
+        self._line = function.__code__.co_firstlineno
+        self._outside = not Path(self._py_file).is_relative_to(_PACKAGE)
+
+    def ensure_cache_path(self) -> None:
+        os.makedirs(self.get_cache_path(), 0o700, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        return str(cache_folder())
+
+    def get_source_stamp(self) -> str:
+        """A function from outside the package is not in the digest: its own file is looked at."""
+        own = hashlib.sha256(Path(self._py_file).read_bytes()).hexdigest() if self._outside else ""
+        return code_digest() + own
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+class _Implementation(CompileResultCacheImpl):  # type: ignore[misc]
+    """numba's way to write compiled functions, with our locator and no other."""
+
+    def __init__(self, function: Any) -> None:
+        self._lineno = function.__code__.co_firstlineno
+        self._locator = _Locator(function)
+        self._filename_base = self.get_filename_base(f"{function.__module__}.{function.__qualname__}", sys.abiflags)
+
+
+class _Cache(FunctionCache):  # type: ignore[misc]
+    """numba's cache of a function; a folder that cannot be read or written any more costs time, and no more."""
+
+    _impl_class = _Implementation
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(signature, target_context)
+        except OSError:
+            return None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        try:
+            super().save_overload(signature, result)
+        except OSError as error:
+            _cannot_keep(str(error))
+
+
+@cache
+def _cannot_keep(why: str) -> None:
+    """Says so once."""
+    _log.warning("compiled kernels cannot be kept: %s", why)

@@ -6,7 +6,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from ..haptics.budget import LADDER
+from ..haptics.budget import claimed
 from ..haptics.passivity import stable_stiffness
 from .graph_watch import GraphWatch
 from .inbox import Inbox
@@ -120,16 +120,17 @@ class Reporter:
             problems.append((1, f"{window.status.name} in {window.troubled} of {window.steps} steps"))
 
     def _rung(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
-        budget = self._stepper.budget
-        if budget is None:
+        budget, rungs, scene = self._stepper.budget, self._stepper.rungs, self._stepper.scene
+        if budget is None or budget.rung >= len(rungs):  # a parameter is being set at this moment
             return
-        number = budget.rung
-        rung = LADDER[number]
+        number, name = budget.rung, rungs[budget.rung].name
         values["budget [ms]"] = f"{1e3 * budget.seconds:g}"
-        values["accuracy"] = f"{number} of {len(LADDER) - 1}: {rung.name}"
+        values["accuracy"] = f"{number} of {len(rungs) - 1}: {name}"
         values["accuracy changes"] = str(budget.moves)
         if number > 0:
-            problems.append((1, f"less accurate to hold {1e3 * budget.seconds:g} ms: {rung.name}, error {rung.error}"))
+            error = claimed(scene, self._stepper.sim.mesh).get(name)
+            text = "not measured for this scene" if error is None else f"{error:.2g} of the peak force (rms)"
+            problems.append((1, f"less accurate to hold {1e3 * budget.seconds:g} ms: {name}, error {text}"))
 
     def _commands(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
         command, received, refused, reason = self._stepper.newest, *self._inbox.counts()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Floats
-from ..haptics.budget import Budget, on_rung
+from ..haptics.budget import Budget, Rung, ladder
 from ..haptics.coupling import device_wrench, displacement
 from ..haptics.passivity import NONE, Port
 from ..physics.step import Status
@@ -80,6 +80,7 @@ class Stepper:
         self.transport = Recent()
         self.stale = False
         self.budget: Budget | None = None
+        self.rungs: tuple[Rung, ...] = ()
         self._outputs, self._clock, self._log = outputs, clock, log
         self._followed: Command | None = None
         self._shifted: Pose | None = None
@@ -122,7 +123,7 @@ class Stepper:
                 self.sim.reset(command.pose, newest)
             out = self.sim.step(command.pose, plane)
         if self.budget is not None and self.budget.spent(time.perf_counter() - begin):
-            self.sim.solve_with(on_rung(self.scene.solver, self.budget.rung))
+            self.sim.solve_with(self.rungs[self.budget.rung].solver)
         device = self._rendered(out.device_wrench, options) if fresh else self._silenced()
         if command is not None:
             device = self._passive(device, command, options)
@@ -174,7 +175,8 @@ class Stepper:
     def _take_budget(self) -> None:
         """Begin at the top of the ladder with the scene's budget, if it has one."""
         milliseconds = self.scene.solver.budget_ms
-        self.budget = Budget(1e-3 * milliseconds) if milliseconds is not None else None
+        self.rungs = ladder(self.scene.solver)
+        self.budget = Budget(1e-3 * milliseconds, len(self.rungs)) if milliseconds is not None else None
 
     def _watch(self, command: Command, options: NodeOptions) -> bool:
         """Whether the command is recent by the steady clock; says so when that changes."""

@@ -15,7 +15,7 @@ from ..errors import SceneError
 from ..haptics.coupling import device_wrench, set_down, spring_wrench
 from ..physics import step as stepping
 from ..physics.clock import STAGES
-from ..physics.compile import compiled_before
+from ..physics.compile import compiling
 from ..physics.model import build_model, build_state, with_live_values
 from ..physics.ready import advance, measure_strains, ready, refresh
 from ..physics.rotations import matrix
@@ -69,11 +69,8 @@ class Simulator:
         self._was_set_down = False
         self._steps = 0
         self._timed = timed
-        if compiled_before():
-            tell("loading compiled kernels")
-        else:
-            tell("compiling kernels: once for this version, up to a minute")
-        self._warm_up()
+        with compiling(tell):
+            self._warm_up()
         self.reset(scene.initial_pose)
         tell("ready")
 

@@ -8,8 +8,8 @@ import pytest
 
 from finger_sim import Scene, SceneError
 from finger_sim.cli import main
-from finger_sim.studies.tradeoff.errors import TradeoffError
 from finger_sim.studies.tradeoff.grid import Grid
+from finger_sim.studies.tradeoff.motion import TradeoffError
 
 BEAM = b"mesh: {beam: {}}\n"
 LAUGHS = b"a: &a0 [ha, ha, ha, ha, ha, ha, ha, ha, ha]\n" + b"".join(

@@ -23,6 +23,7 @@ from ...arrays import Ints
 from ...console import gauge
 from ...errors import MissingExtraError
 from ...scene import Scene
+from ..shared import pinned
 from . import passes, peers
 from .figures import MUJOCO, UNIT_SIZE, Figure, Key, Records, Row, figures, row, unsteadiness
 from .scenes import (
@@ -106,7 +107,7 @@ class Report:
 def bench(options: Options) -> Report:
     """Run it all. Raises BenchError when an option cannot be met."""
     options.check()
-    with passes.pinned(options.cpu):
+    with pinned(options.cpu):
         pass  # a mistake shows before anything long
     machine, extras, stages = describe_machine(), dict[str, tuple[float, str]](), list[dict[str, Any]]()
     if options.startup:
@@ -115,7 +116,7 @@ def bench(options: Options) -> Report:
     found = peers.available() if options.peers else {}
     said = peers.missing() if options.peers else dict.fromkeys(peers.missing() | peers.available(), "not asked for")
     said = {name: f"missing: {reason}" if options.peers else reason for name, reason in said.items()}
-    with passes.pinned(options.cpu) as cpu:
+    with pinned(options.cpu) as cpu:
         machine["cpu_index"] = cpu
         for size in sorted(set(options.sizes)):
             said |= _finger(size, options, _with_neo_hookean(found) if size == UNIT_SIZE else {}, records)

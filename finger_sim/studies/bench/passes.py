@@ -37,28 +37,6 @@ print("ready", flush=True)
 """
 
 
-@contextmanager
-def pinned(cpu: int | None) -> Iterator[int | None]:
-    """This process on one processor (None: the last allowed one) inside a `with` block; gives which.
-
-    Where processors cannot be chosen it gives None, unless one was asked for. Raises BenchError.
-    """
-    if not hasattr(os, "sched_setaffinity"):
-        if cpu is not None:
-            raise BenchError(f"--cpu: got {cpu}, allowed: nothing, this system pins no process")
-        yield None
-        return
-    allowed = os.sched_getaffinity(0)
-    chosen = max(allowed) if cpu is None else cpu
-    if chosen not in allowed:
-        raise BenchError(f"--cpu: got {cpu}, allowed: {', '.join(map(str, sorted(allowed)))}")
-    os.sched_setaffinity(0, {chosen})
-    try:
-        yield chosen
-    finally:
-        os.sched_setaffinity(0, allowed)
-
-
 def interleaved(runners: Mapping[Name, Runner], repeats: int, meter: Meter) -> dict[Name, Record]:
     """Each runner's whole motion, `repeats` times, one runner after the other, from another one on each time.
 

@@ -157,19 +157,8 @@ class _MuJoCo:
         self._lead = case.damping_stiffness / case.dt
 
         spec = mujoco.MjSpec()
-        spec.option.timestep, spec.option.gravity = case.dt, case.gravity
-        spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a diverged body stays diverged
-        spec.option.solver = mujoco.mjtSolver.mjSOL_CG
-        if discrete:
-            spec.option.integrator, spec.option.tolerance = mujoco.mjtIntegrator.mjINT_DISCRETE, 1e-5
-            # Coulomb's cone; friction rows ten times stiffer than by default, else nodes that should stick creep.
-            spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
-            solref, impedance = [-1e8, -2e4], 0.99  # stiffer changes nothing
-        else:
-            spec.option.integrator, spec.option.tolerance = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 1e-3
-            spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_PYRAMIDAL, 1.0
-            solref, impedance = [2.0 * case.dt, 1.0], 0.9999  # the largest there is
-
+        solref, impedance = self._solve(spec, case.dt, discrete)
+        spec.option.gravity = case.gravity
         names = np.full(len(case.points), "world", dtype=object)
         mass = case.mass
         for node in self._free:
@@ -178,8 +167,7 @@ class _MuJoCo:
             body.mass, body.inertia = mass[node], np.full(3, 1e-6 * mass[node])
             for axis in np.eye(3):
                 body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-        at = np.zeros_like(case.points)
-        at[case.driven] = self._targets
+        at = np.where(np.isin(np.arange(len(case.points)), case.driven)[:, None], case.points, 0.0)
         flex = spec.add_flex(dim=3, radius=0.0, vertbody=names.tolist(), vert=at.ravel(), elem=case.tets.ravel())
         flex.young, flex.poisson, flex.damping = case.young, case.poisson, case.damping_stiffness
         if _release(mujoco.__version__) < (4, 0):  # twice the λ of what it is given: this has half, and the same μ
@@ -198,6 +186,25 @@ class _MuJoCo:
         self._data = mujoco.MjData(self._model)
         self._vertices = self._model.flex_vert
         self._advance, self._contact_force = mujoco.mj_step, mujoco.mj_contactForce
+
+    @staticmethod
+    def _solve(spec: Any, dt: float, discrete: bool) -> tuple[list[float], float]:
+        """Chooses integrator, solver and friction's cone; gives solref and impedance of the contacts for them."""
+        import mujoco
+
+        spec.option.timestep = dt
+        spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a diverged body stays diverged
+        spec.option.solver = mujoco.mjtSolver.mjSOL_CG
+        if discrete:
+            spec.option.integrator, spec.option.tolerance = mujoco.mjtIntegrator.mjINT_DISCRETE, 1e-5
+            # Coulomb's cone; friction rows ten times stiffer than by default, else nodes that should stick creep.
+            spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
+            solref, impedance = [-1e8, -2e4], 0.99  # stiffer changes nothing
+        else:
+            spec.option.integrator, spec.option.tolerance = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 1e-3
+            spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_PYRAMIDAL, 1.0
+            solref, impedance = [2.0 * dt, 1.0], 0.9999  # the largest there is
+        return solref, impedance
 
     def step(self, targets: Floats) -> None:
         self._vertices[self._driven] = targets + self._lead * (targets - self._targets)

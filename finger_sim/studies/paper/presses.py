@@ -22,7 +22,7 @@ from ...scene import Pose, Scene
 from ...scene.mesh import TetMesh
 from ...simulation.result import StepResult
 from ...simulation.simulator import Simulator
-from ..strains import biot_strain
+from ..shared import biot_strain
 
 GAP, REST = 0.5e-3, 0.3
 """A body hangs so far above the table [m], for so long [s], before it is lowered."""

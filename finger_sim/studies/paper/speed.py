@@ -19,7 +19,7 @@ from ...pictures.surfaces import new_figure
 from ...scene import Pose, Scene
 from ...simulation.simulator import Simulator
 from ..bench.bench import describe_machine
-from ..strokes import poses
+from ..shared import poses
 from .figures import Finding, Meter
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ LOWEST, HIGHEST = 0.1, 1e5
 
 
 @dataclass(frozen=True)
-class Course:
+class Timings:
     """What the steps of one contender took and gave; all (repeats, steps)."""
 
     seconds: Floats
@@ -76,9 +76,9 @@ class Course:
     status: Ints
 
     @staticmethod
-    def empty(repeats: int, steps: int) -> Course:
+    def empty(repeats: int, steps: int) -> Timings:
         shape = (repeats, steps)
-        return Course(np.full(shape, np.nan), np.zeros(shape, np.int64), np.zeros(shape, np.int64))
+        return Timings(np.full(shape, np.nan), np.zeros(shape, np.int64), np.zeros(shape, np.int64))
 
 
 class Group(NamedTuple):
@@ -97,7 +97,7 @@ class Group(NamedTuple):
 class Result:
     """All that was timed."""
 
-    courses: dict[str, Course]
+    courses: dict[str, Timings]
     dt: float  # [s]
     machine: dict[str, Any]
 
@@ -124,9 +124,9 @@ def motion_of(who: Contender, scene: Scene) -> list[Pose]:
 
 def timed(
     simulators: Mapping[str, Simulator], motions: Mapping[str, Sequence[Pose]], repeats: int, progress: Meter
-) -> dict[str, Course]:
+) -> dict[str, Timings]:
     """Each simulator's steps through its motion, `repeats` times; all take turns, PIECE steps each."""
-    courses = {name: Course.empty(repeats, len(motions[name])) for name in simulators}
+    courses = {name: Timings.empty(repeats, len(motions[name])) for name in simulators}
     longest = max(len(motion) for motion in motions.values())
     for repeat in range(repeats):
         for name, simulator in simulators.items():
@@ -138,7 +138,7 @@ def timed(
     return courses
 
 
-def _piece(simulator: Simulator, motion: Sequence[Pose], first: int, repeat: int, course: Course) -> None:
+def _piece(simulator: Simulator, motion: Sequence[Pose], first: int, repeat: int, course: Timings) -> None:
     """PIECE steps from `first` on, or what is left of them, into row `repeat`."""
     for k in range(first, min(first + PIECE, len(motion))):
         start = time.perf_counter()
@@ -163,7 +163,7 @@ def _group(fewest: int, most: int | None, tets: Ints, seconds: Floats) -> Group:
     return Group(fewest, most, len(tets), float(np.median(tets)), median, p10, p90)
 
 
-def above(course: Course) -> Group | None:
+def above(course: Timings) -> Group | None:
     """All steps with more tetrahedra at a limit than the paper's number; None when there are none."""
     many = course.tets > PAPER_TETS
     return _group(PAPER_TETS + 1, None, course.tets[many], course.seconds[many]) if many.any() else None
@@ -181,7 +181,7 @@ def numbers(result: Result) -> dict[str, Any]:
     }
 
 
-def _contender_numbers(name: str, course: Course) -> dict[str, Any]:
+def _contender_numbers(name: str, course: Timings) -> dict[str, Any]:
     who, many = CONTENDERS[name], above(course)
     unsolved = int(Status.ITERATION_LIMIT | Status.STEP_REJECTED)
     return {
@@ -231,7 +231,7 @@ def findings(result: Result) -> list[Finding]:
     ]
 
 
-def _few(course: Course) -> Group:
+def _few(course: Timings) -> Group:
     """Steps with a tetrahedron at a limit or more, but fewer than the paper's constraints."""
     some = (course.tets > 0) & (course.tets < PAPER_CONSTRAINTS)
     return _group(1, PAPER_CONSTRAINTS - 1, course.tets[some], course.seconds[some])

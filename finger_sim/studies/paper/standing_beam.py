@@ -17,7 +17,7 @@ from ...physics.step import Status
 from ...scene import Scene
 from ...scene.mesh import TetMesh
 from ...simulation.simulator import Simulator
-from ..strains import biot_strain, deformation, stretches
+from ..shared import biot_strain, deformation, stretches
 from .figures import Meter
 
 SCENE = "beam_standing"

@@ -12,27 +12,32 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import itertools
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from ...bags.reader import require_absent
-from ...console import table
+from ...console import say, table
 from ...errors import FingerSimError
+from ...pictures.surfaces import new_figure, save
 from .case import Case, write
 from .extremes import LONG_CYCLES, extremes, press_and_slide_for_long
 from .fuzz import fuzz_case
-from .run import Kind, Outcome, run
+from .run import Kind, Outcome, StepClock, run
 from .starts import starts
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
     from rich.table import Table
 
 Meter = Callable[[float, float], None]
 """Told how many cases are done, and how many there are."""
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
+COLORS = {"ok": "#2a7f4f", "degraded": "#9cc3e6", "refused": "#c9ced4", "failed": "#b3332e"}
+"""Of each end, in pictures."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,10 +80,13 @@ def stress(what: Options, progress: Meter = lambda done, all_there_are: None) ->
     fuzz = (fuzz_case(what.seed, index) for index in range(what.cases))
     outcomes: list[Outcome] = []
     written: list[Path] = []
+    under_way: list[Case] = []
+    clock = StepClock(hung=lambda: _end(under_way[-1], what.out))
     for case in itertools.chain(first, fuzz):
         if what.minutes is not None and time.monotonic() - began > 60.0 * what.minutes:
             break
-        outcome = run(case)
+        under_way[:] = [case]
+        outcome = run(case, clock=clock)
         outcomes.append(outcome)
         if outcome.kind == "failed":
             written.append(_written(case, outcome, what.out))
@@ -129,9 +137,40 @@ def failures(report: Report) -> Table:
     return rows
 
 
+def draw(report: Report, path: Path) -> Path:
+    """Writes the picture. Raises MissingExtraError without matplotlib, FingerSimError when it cannot be written."""
+    return save(make_figure(report), path)
+
+
+def make_figure(report: Report) -> Picture:
+    """A bar for each family, as long as it has cases, divided by how they ended."""
+    families = list(by_family(report.outcomes))[:-1]
+    figure = new_figure(8.6, 0.9 + 0.27 * len(families))
+    axes = figure.add_axes((0.2, 0.42 / figure.get_figheight(), 0.78, 1.0 - 0.85 / figure.get_figheight()))
+    begun = [0] * len(families)
+    for kind in KINDS:
+        counts = [sum(outcome.kind == kind for outcome in some) for _, some in families]
+        axes.barh(range(len(families)), counts, 0.7, begun, color=COLORS[kind], label=f"{kind} {sum(counts)}")
+        begun = [first + count for first, count in zip(begun, counts, strict=True)]
+    axes.set_yticks(range(len(families)), [name for name, _ in families])
+    axes.invert_yaxis()
+    axes.set_xlabel("cases")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, ncols=len(KINDS), loc="lower left", bbox_to_anchor=(0.0, 1.0), borderpad=0.2)
+    return figure
+
+
 def _worst(outcomes: Sequence[Outcome], name: str) -> Any:
     """The largest of a number that not every outcome has; None where none has."""
     return max((value for outcome in outcomes if (value := getattr(outcome, name)) is not None), default=None)
+
+
+def _end(case: Case, out: Path) -> None:
+    """A step that does not return cannot be left but with the process."""
+    failure = "hang: a step does not return"
+    outcome = Outcome(case.name, case.family, "failed", failures=(failure,))
+    say(f"{case.name}: {failure}; written to {_written(case, outcome, out)}")
+    os._exit(1)
 
 
 def _written(case: Case, outcome: Outcome, out: Path) -> Path:

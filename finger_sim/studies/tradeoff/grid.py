@@ -26,7 +26,7 @@ from ...errors import SceneError
 from ...scene import Scene
 from ...scene.fields import UNKNOWN_KEY
 from ...scene.yaml_text import YamlText
-from .errors import TradeoffError
+from .motion import TradeoffError
 
 HOW = ("dt", "substeps", "limits.viscosity", "limits.inertia", "plane.stiffness")
 """Keys that say how a model is solved, as all of `solver` do. All other keys are the model: what is solved.

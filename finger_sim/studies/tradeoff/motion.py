@@ -10,11 +10,11 @@ import numpy as np
 from ...arrays import Floats
 from ...bags.reader import read_commands
 from ...bags.strokes import Stroke, trace
+from ...errors import FingerSimError
 from ...haptics.coupling import between
 from ...physics.rotations import matrix
 from ...scene import Pose, Scene, place
 from ...scene.resources import find_bag
-from .errors import TradeoffError
 
 PRESS = "press_hold_slide"
 """Name of the motion without a bag."""
@@ -32,6 +32,10 @@ KNOT_RATE = 1000.0
 """Commands a second of the motion without a bag [Hz]."""
 SLOW = 5e-3
 """Speed of the bone under which it is held: as the tremor of a hand at rest [m/s]."""
+
+
+class TradeoffError(FingerSimError):
+    """A study that cannot be run as asked: the option or the key, the value and what is allowed."""
 
 
 @dataclass(frozen=True, eq=False)

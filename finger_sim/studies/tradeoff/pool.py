@@ -9,9 +9,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from ...errors import FingerSimError, MissingExtraError
-from .clock import Times, times
-from .errors import TradeoffError
-from .run import Course, course, portable
+from .motion import TradeoffError
+from .run import Course, Times, course, portable, times
 from .store import Job, code_digest
 
 Outcome = Course | Times | str
@@ -81,8 +80,8 @@ def _local(workers: int | None) -> Iterator[Any]:
 
 def _same_code(client: Any, address: str) -> None:
     """Raises TradeoffError naming a worker that would give other results than this machine."""
-    for worker, digest in client.run(code_digest, "course", on_error="return").items():
-        if digest != code_digest("course"):
+    for worker, digest in client.run(code_digest, on_error="return").items():
+        if digest != code_digest():
             raise TradeoffError(f"--scheduler: {address}: worker {worker} has another finger_sim")
 
 

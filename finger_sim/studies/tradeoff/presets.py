@@ -17,11 +17,10 @@ import yaml
 from ...errors import FingerSimError
 from ...scene import Scene
 from ..bench.bench import describe_machine
-from .clock import times
 from .grid import AWAKE, reference
 from .measures import Errors, errors, peak_force
 from .motion import Motion, motion
-from .run import Course, course, portable
+from .run import Course, course, portable, times
 from .scene import Measured, write_scene
 from .store import writable
 

@@ -10,19 +10,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ...console import table
 from ...errors import FingerSimError
 from ...scene import Scene
 from ..bench.bench import describe_machine
-from .clock import Times, times
-from .errors import TradeoffError
 from .grid import AWAKE, reference, soft
 from .measures import Errors, errors, peak_force
-from .motion import Motion, motion
-from .run import Course, course, portable
+from .motion import Motion, TradeoffError, motion
+from .run import Course, Times, course, portable, times
 from .scene import Measured, write_scene
 from .store import writable
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 Meter = Callable[[float, float], None]
 
@@ -144,3 +146,22 @@ def _timed(scene: Scene, changed: Mapping[str, Any], path: Motion) -> Times:
 def _with_errors(one: Try, scene: Scene, path: Motion, converged: Course) -> Try:
     own = course(portable(scene.with_values(one.changed)), path, False)
     return Try(one.changed, one.times, one.holds, errors(own, converged, None), peak_force(own))
+
+
+def tried(found: Found) -> Table:
+    """Every setting that was timed."""
+    out = table("", "setting", "median ms", "p99 ms", "disturbed", "holds", "error RMS", "most N")
+    for one in found.tries:
+        error = one.errors
+        out.add_row(
+            "→" if one is found.best else "", words(one, times=False), f"{1e3 * one.times.median:.3f}",
+            f"{1e3 * one.times.p99:.3f}", f"{1e3 * one.times.p99_disturbed:.3f}", "yes" if one.holds else "no",
+            "" if error is None else f"{error.force_rel:.3%}", "" if error is None else f"{error.force_max_n:.3f}",
+        )  # fmt: skip
+    return out
+
+
+def words(one: Try, times: bool = True) -> str:
+    """A setting on one line, with its times."""
+    text = ", ".join(f"{key.removeprefix('solver.')} {value}" for key, value in one.changed.items())
+    return f"{text}: median {1e3 * one.times.median:.3f} ms, p99 {1e3 * one.times.p99:.3f} ms" if times else text

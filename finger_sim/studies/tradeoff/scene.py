@@ -12,10 +12,9 @@ import yaml
 
 from ...plain import whole_file
 from ...scene import Limits, Plane, Scene
-from .clock import Times
-from .errors import TradeoffError
 from .measures import Errors
-from .run import portable
+from .motion import TradeoffError
+from .run import Times, portable
 
 WIDTH = 118
 """Characters in a line of comment."""

@@ -14,23 +14,13 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from ...physics.sources import digest, imported
 from ...scene import Scene
 from ..bench.bench import describe_machine
-from .clock import Times
-from .errors import TradeoffError
-from .motion import Motion
-from .run import NAMES, Course, portable
+from .motion import Motion, TradeoffError
+from .run import NAMES, Course, Times, portable
 
 Kind = Literal["course", "times"]
-SOURCES = (
-    "haptics/coupling", "scene/fields", "scene/mesh", "scene/meshing", "scene/scene", "simulation/simulator",
-    "studies/tradeoff/motion",
-)  # fmt: skip
-OWN: dict[Kind, tuple[str, ...]] = {
-    "course": ("studies/strains", "studies/tradeoff/energy", "studies/tradeoff/run"),
-    "times": ("studies/tradeoff/clock",),
-}
-"""Sources that runs depend on, besides physics/: both kinds, and one."""
 _PACKAGE = Path(__file__).parents[2]
 
 
@@ -50,7 +40,7 @@ def job(kind: Kind, scene: Scene, motion: Motion, tets: int, drift: bool = False
     solver = scene.solver
     sweeps = scene.substeps * (1 + solver.relinearizations) * (3.0 if solver.tolerance < 1e-7 else 1.0)
     cost = (20.0 + motion.steps(scene.dt) * sweeps) * tets**1.5 * (2.0 if kind == "times" else 1.0)
-    depends: dict[str, Any] = {"scene": portable(scene), "motion": motion.digest, "code": code_digest(kind)}
+    depends: dict[str, Any] = {"scene": portable(scene), "motion": motion.digest, "code": code_digest()}
     if scene.mesh.file is not None:
         depends["mesh"] = _file_digest(scene.mesh.file)
     depends |= {"drift": drift} if kind == "course" else {"cpu": describe_machine()["cpu"]}
@@ -59,13 +49,14 @@ def job(kind: Kind, scene: Scene, motion: Motion, tets: int, drift: bool = False
 
 
 @cache
-def code_digest(kind: Kind) -> str:
+def code_digest() -> str:
     """Hash of the sources that a run depends on."""
-    files = sorted(_PACKAGE.glob("physics/*.py")) + [_PACKAGE / f"{name}.py" for name in (*SOURCES, *OWN[kind])]
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.read_bytes())
-    return digest.hexdigest()[:16]
+    return digest(_PACKAGE, sources())[:16]
+
+
+def sources() -> list[Path]:
+    """All that run.py imports, directly or not."""
+    return imported(_PACKAGE, [_PACKAGE / "studies" / "tradeoff" / "run.py"])
 
 
 def writable(folder: Path) -> Path:

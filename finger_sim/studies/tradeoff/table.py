@@ -7,17 +7,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...console import table
 from ...plain import whole_file
 from ...scene import Scene
-from .clock import Times
-from .errors import TradeoffError
 from .grid import Point, is_how
 from .measures import UNFELT, Errors, errors, jitter, overshoot, peak_force, unsolved
-from .run import Course
+from .motion import TradeoffError
+from .run import Course, Times
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ class Row:
     penetration_m: float
     jitter_held_n: float  # second difference of force from step to step, RMS
     jitter_moving_n: float
-    energy_drift: float  # see tradeoff_energy.py
+    energy_drift: float  # see run.py
     factorisations: float  # a step
     iterations: float  # a step
     unsolved: float  # share of steps that did not meet the tolerance, or were rejected
@@ -156,10 +159,10 @@ def write_csv(rows: Sequence[Row], path: Path) -> Path:
     """All rows; what is not known is left empty. Raises TradeoffError when the file cannot be written."""
     try:
         with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file)
-            table.writerow([f.name for f in fields(Row)])
+            writer = csv.writer(file)
+            writer.writerow([f.name for f in fields(Row)])
             for one in rows:
-                table.writerow([_cell(value) for value in asdict(one).values()])
+                writer.writerow([_cell(value) for value in asdict(one).values()])
     except OSError as error:
         raise TradeoffError(f"--out: {path}: cannot be written: {error.strerror}") from None
     return path
@@ -169,6 +172,26 @@ def _cell(value: Any) -> Any:
     if isinstance(value, float):
         return "" if math.isnan(value) else f"{value:.6g}"
     return value
+
+
+def summary(rows: Sequence[Row]) -> Table:
+    """The main columns of the study's table."""
+    out = table("scene", "changed", "tets", "median ms", "p99 ms", "real time", "Hz held", "solver error", "most N",
+                "model error", "reference", "overshoot", "jitter N", "slip ms")  # fmt: skip
+    for row in rows:
+        out.add_row(
+            row.scene, row.changed, str(row.tets), _number(1e3 * row.step_median_s, ".3f"),
+            _number(1e3 * row.step_p99_s, ".3f"), _number(row.real_time_factor, ".2f", "×"),
+            _number(row.rate_sustained_hz, ".0f"), _number(row.solver_force_rel, ".3%"),
+            _number(row.solver_force_max_n, ".3f"), _number(row.model_force_rel, ".2%"),
+            _number(row.reference_uncertainty_rel, ".3%"), _number(row.strain_overshoot, ".2f"),
+            _number(row.jitter_held_n, ".1e"), _number(1e3 * row.solver_slip_onset_s, "+.1f"),
+        )  # fmt: skip
+    return out
+
+
+def _number(value: float, form: str, unit: str = "") -> str:
+    return "" if math.isnan(value) else f"{value:{form}}{unit}"
 
 
 def front(cost: Sequence[float], error: Sequence[float]) -> list[int]:

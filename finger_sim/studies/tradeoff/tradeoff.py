@@ -22,12 +22,10 @@ from ...console import say
 from ...pictures.surfaces import new_figure
 from ...scene import Scene
 from . import pool
-from .clock import Times
-from .errors import TradeoffError
 from .grid import DEFAULT, Grid, Point, points, reference
-from .motion import Motion, motion
+from .motion import Motion, TradeoffError, motion
 from .pictures import draw
-from .run import Course
+from .run import Course, Times
 from .store import Job, Store, job
 from .table import Row, row, write_csv
 

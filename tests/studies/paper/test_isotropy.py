@@ -10,9 +10,9 @@ from cases import for_each
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from finger_sim.studies.paper import isotropy
+from finger_sim.studies.paper import isotropy, isotropy_measures
 from finger_sim.studies.paper.figures import plain
-from finger_sim.studies.paper.isotropy import FRAME, GAPS, LEG, PROJECTIONS, ROOM, SIDES
+from finger_sim.studies.paper.isotropy_measures import FRAME, GAPS, LEG, PROJECTIONS, ROOM, SIDES
 
 HIGH, LOW = np.array([1.05, 1.25, 1.02]), np.array([0.95, 0.75, 0.98])
 """The finger's limits (the paper, Section 5.1)."""
@@ -71,7 +71,7 @@ def test_allowed_strain_by_closed_forms(projection, side):
     """In random directions, to 1e-6 of the limit."""
     ways = np.random.default_rng(3).standard_normal((12, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    found = [isotropy.allowed_strain(projection, way, side) for way in ways]
+    found = [isotropy_measures.allowed_strain(projection, way, side) for way in ways]
     assert_allclose(found, closed_form(projection, ways), atol=1e-6)
 
 
@@ -93,7 +93,7 @@ def test_extremes_over_the_sphere(result):
 
 def test_directions_cover_the_sphere():
     """Unit vectors, as many different ones as a cube's surface has grid points; axes and diagonals are among them."""
-    ways = isotropy.directions(4).reshape(-1, 3)
+    ways = isotropy_measures.directions(4).reshape(-1, 3)
     assert_allclose(np.linalg.norm(ways, axis=1), 1.0, rtol=1e-14)
     assert len(np.unique(np.round(ways, 9) + 0.0, axis=0)) == 6 * 4**2 + 2
     for point in itertools.product((-1.0, 0.0, 1.0), repeat=3):
@@ -103,7 +103,7 @@ def test_directions_cover_the_sphere():
 
 def test_path_goes_through_the_diagonals(result):
     """Unit vectors; 45° to (1, 1, 0), acos √(2/3) on to (1, 1, 1), acos √(1/3) to e3; strains by the closed form."""
-    ways, angle = isotropy.path()
+    ways, angle = isotropy_measures.path()
     assert_allclose(np.linalg.norm(ways, axis=1), 1.0, rtol=1e-14)
     legs = np.arccos([np.sqrt(0.5), np.sqrt(2.0 / 3.0), np.sqrt(1.0 / 3.0)])
     assert_allclose(angle[::LEG], [0.0, *np.cumsum(legs)], atol=1e-7)
@@ -115,8 +115,8 @@ def test_path_goes_through_the_diagonals(result):
 def test_worst_row_by_numpy(projection):
     """Largest strain/limit of all rows, at states around the crossing near and far."""
     for t, delta in ((0.015, 0.002), (-0.01, 0.004), (1e-4, -3e-4), (-1e-6, 2e-6)):
-        U = isotropy.stretch_near_crossing(t, delta)
-        value, _ = isotropy.worst_row(U, isotropy.limits_crossed(projection))
+        U = isotropy_measures.stretch_near_crossing(t, delta)
+        value, _ = isotropy_measures.worst_row(U, isotropy_measures.limits_crossed(projection))
         assert_allclose(value, rows_by_numpy(U, projection).max(), rtol=1e-7)
 
 
@@ -130,17 +130,17 @@ def test_gradient_of_tensor_is_that_of_its_stretch():
         E = scipy.linalg.sqrtm(F.T @ F).real - np.eye(3)
         return np.linalg.eigvalsh(E / np.sqrt(np.outer(a, a)))[-1]
 
-    U = isotropy.stretch_near_crossing(0.004, -0.003)
+    U = isotropy_measures.stretch_near_crossing(0.004, -0.003)
     moves = 1e-6 * np.eye(9).reshape(9, 3, 3)
     slope = np.array([(top(U + move) - top(U - move)) / 2e-6 for move in moves])
     y = np.linalg.eigh((U - np.eye(3)) / np.sqrt(np.outer(a, a)))[1][:, -1] / np.sqrt(a)
-    _, found = isotropy.worst_row(U, isotropy.limits_crossed("tensor"))
+    _, found = isotropy_measures.worst_row(U, isotropy_measures.limits_crossed("tensor"))
     assert_allclose(found, np.linalg.norm(slope) / (y @ y), rtol=1e-6)
 
 
 def test_stretches_near_a_crossing():
     """1.03 ± √(t² + δ²) and 0.99; their axes turn by half the angle of (t, δ)."""
-    U = isotropy.stretch_near_crossing(0.003, 0.004)
+    U = isotropy_measures.stretch_near_crossing(0.003, 0.004)
     assert_allclose(np.linalg.eigvalsh(U), [0.99, 1.025, 1.035], rtol=1e-12)
     axes = crossing_axes(np.arctan2(0.004, 0.003))
     assert_allclose(U @ axes, axes * [1.035, 1.025, 0.99], atol=1e-12)
@@ -171,7 +171,7 @@ def test_gradients_grow_as_one_over_the_gap(result):
         assert_allclose(result.crossings[name].gradient, 1.0, atol=1e-3, err_msg=name)
         assert abs(result.crossings[name].exponent) < 1e-4
     factor = 0.0
-    for angle in 2.0 * np.pi * (np.arange(isotropy.TURNS) + 0.5) / isotropy.TURNS:
+    for angle in 2.0 * np.pi * (np.arange(isotropy_measures.TURNS) + 0.5) / isotropy_measures.TURNS:
         V = crossing_axes(angle)
         ratios = np.abs(V[:, :2]) / (HIGH - 1.0)[:, None]
         j, i = np.unravel_index(np.argmax(ratios), ratios.shape)
@@ -181,8 +181,8 @@ def test_gradients_grow_as_one_over_the_gap(result):
 
 def test_the_linear_rule_is_no_ellipsoid():
     """The ellipsoid's point lies on it; Eq. 22 is beyond, but along the axes."""
-    ways = isotropy.directions(4)
-    printed, ellipsoid = isotropy.linear_rules(ways)
+    ways = isotropy_measures.directions(4)
+    printed, ellipsoid = isotropy_measures.linear_rules(ways)
     assert_allclose((((ellipsoid[..., None] * ways) / HIGH) ** 2).sum(axis=-1), 1.0, rtol=1e-12)
     on_axis = np.abs(ways).max(axis=-1) > 1.0 - 1e-12
     assert on_axis.sum() == 6
@@ -212,7 +212,7 @@ def test_numbers_are_plain(result):
 
 def test_triangles_close_the_surface():
     """By the divergence theorem: a cube of edge 2 where the radius is 1 / max |d_j|, nearly a ball where it is 1."""
-    ways = isotropy.directions(8)
+    ways = isotropy_measures.directions(8)
     for radius, volume, tolerance in (
         (closed_form("hyperbolic", ways), 8.0, 1e-12),
         (closed_form("tensor", ways), 4.0 * np.pi / 3.0, 0.05),

@@ -13,10 +13,10 @@ from finger_sim import Pose, Scene, Status
 from finger_sim.bags.reader import read_commands
 from finger_sim.physics.rotations import matrix
 from finger_sim.scene.resources import find_bag
-from finger_sim.studies import strokes
+from finger_sim.studies import shared
 from finger_sim.studies.paper import speed
 from finger_sim.studies.paper.figures import plain
-from finger_sim.studies.paper.speed import CONTENDERS, FEWEST, PIECE, Course, Result
+from finger_sim.studies.paper.speed import CONTENDERS, FEWEST, PIECE, Result, Timings
 
 
 def ignore(done, total):
@@ -27,7 +27,7 @@ def course(rates, status=0):
     """One repetition of ten steps for each number of tetrahedra {tets: steps a second}."""
     tets = np.repeat(list(rates), 10)[None, :]
     seconds = np.repeat([1.0 / rate for rate in rates.values()], 10)[None, :]
-    return Course(seconds, tets, np.full(tets.shape, status))
+    return Timings(seconds, tets, np.full(tets.shape, status))
 
 
 def synthetic(slowest=300.0):
@@ -76,7 +76,7 @@ def test_commands_of_a_bag_are_the_newest_received():
     """By a loop over the bag, at steps of 0.7 ms."""
     scene = Scene.load("finger").with_values({"dt": 7e-4})
     commands = read_commands(find_bag(speed.SLIDE))
-    poses = strokes.poses(scene, speed.SLIDE)
+    poses = shared.poses(scene, speed.SLIDE)
     assert len(poses) == int(np.ceil(commands.duration / scene.dt))
     for k in (0, 1, 2, 500, 2001, len(poses) - 1):
         newest = max(i for i in range(len(commands)) if commands.receipt[i] <= k * scene.dt + 1e-9)

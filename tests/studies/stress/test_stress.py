@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import random
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +16,7 @@ import numpy as np
 import pytest
 import yaml
 from cases import for_each
+from processes import REPOSITORY
 
 from finger_sim import MeshError, Pose, Scene, Simulator, Status, StepResult
 from finger_sim.bags.cdr import WRENCH_STAMPED, deserialize
@@ -24,7 +28,7 @@ from finger_sim.studies.stress.case import Case, write
 from finger_sim.studies.stress.extremes import block, press_and_slide
 from finger_sim.studies.stress.fuzz import fuzz_case
 from finger_sim.studies.stress.motions import STILL, carried, move, pose, shake
-from finger_sim.studies.stress.run import Outcome, apart, run, verdict
+from finger_sim.studies.stress.run import Outcome, StepClock, apart, run, verdict
 from finger_sim.studies.stress.stress import Options, Report, by_family, digest, directed, stress, summary
 
 DIRECTED = {case.name: case for case in directed()}
@@ -111,8 +115,10 @@ def raises(sim: Any, out: StepResult) -> StepResult:
     raise ZeroDivisionError("nothing to divide by")
 
 
-def sleeps(sim: Any, out: StepResult) -> StepResult:
-    time.sleep(0.3)
+def spins(sim: Any, out: StepResult) -> StepResult:
+    until = time.thread_time() + 0.25
+    while time.thread_time() < until:
+        pass
     return out
 
 
@@ -128,14 +134,51 @@ def sleeps(sim: Any, out: StepResult) -> StepResult:
         (lambda sim, out: dataclasses.replace(out, pose=pose((0, 0, 0.1))), "driven"),
         (turned_inside_out, "inverted"),
         (raises, "crash"),
-        (sleeps, "hang"),
+        (spins, "hang"),
     ],
 )
 def test_what_is_wrong_without_a_word_fails(spoil: Any, check: str) -> None:
     """Each kind of wrong is found, named, and where it was."""
-    outcome = run(small(), fake(spoil), wall=0.2)
+    outcome = run(small(), fake(spoil), StepClock(0.2))
     assert outcome.kind == "failed"
     assert check in {failure.split(":")[0] for failure in outcome.failures}
+
+
+def test_a_machine_that_has_no_time_is_no_hang() -> None:
+    """Steps that wait for longer than a hang takes, for a processor or for anything: all is well."""
+
+    def waits(sim: Any, out: StepResult) -> StepResult:
+        time.sleep(0.02)
+        return out
+
+    outcome = run(small(), fake(waits), StepClock(0.25))
+    assert outcome.seconds > 0.5
+    assert outcome.failures == ()
+
+
+def test_a_step_that_does_not_return_ends_the_study(tmp_path: Path) -> None:
+    """By the processor time of the thread that steps; the case is written first."""
+    code = """
+import sys
+from pathlib import Path
+from finger_sim.studies.stress import run, stress
+
+def never(self, command=None):
+    while True:
+        pass
+
+run.Simulator.step = never
+run.StepClock.__init__.__defaults__ = (0.5, None)
+stress.stress(stress.Options(cases=0, out=Path(sys.argv[1])))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "failed")], capture_output=True, text=True, timeout=200,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "hang: a step does not return" in done.stderr
+    (folder,) = (tmp_path / "failed").iterdir()
+    assert "does not return" in (folder / "README.txt").read_text()
 
 
 def test_energy_from_nowhere_fails() -> None:
@@ -366,7 +409,7 @@ def test_time_runs_out() -> None:
 def test_the_picture_has_every_case() -> None:
     """A bar for each family, divided by how its cases ended."""
     pytest.importorskip("matplotlib")
-    from finger_sim.studies.stress.picture import make_figure
+    from finger_sim.studies.stress.stress import make_figure
 
     some = (
         outcome("a", "x", "ok"),

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from cases import for_each
+from processes import python
 
 from finger_sim import FingerSimError, Scene
 from finger_sim.cli import main
@@ -20,16 +21,14 @@ from finger_sim.errors import MissingExtraError
 from finger_sim.scene.meshing import beam
 from finger_sim.scene.resources import shipped
 from finger_sim.studies.tradeoff import pool
-from finger_sim.studies.tradeoff.clock import Times, summary
-from finger_sim.studies.tradeoff.energy import elastic_energy, energy_drift
 from finger_sim.studies.tradeoff.grid import DEFAULT, Grid, points, reference
 from finger_sim.studies.tradeoff.measures import Errors, errors, jitter, overshoot, slip_onset, unsolved
 from finger_sim.studies.tradeoff.motion import DEPTH, GAP, SLOW, Motion, motion
 from finger_sim.studies.tradeoff.presets import PRESETS, claim, converged
 from finger_sim.studies.tradeoff.rate import HEADROOM, SUBSTEPS, Try, choose, search
-from finger_sim.studies.tradeoff.run import Course, portable
+from finger_sim.studies.tradeoff.run import Course, Times, elastic_energy, energy_drift, portable, summary
 from finger_sim.studies.tradeoff.scene import write_scene
-from finger_sim.studies.tradeoff.store import Store, job
+from finger_sim.studies.tradeoff.store import Store, job, sources
 from finger_sim.studies.tradeoff.table import front
 from finger_sim.studies.tradeoff.tradeoff import Options, TimeLeft, in_words, tradeoff
 
@@ -380,7 +379,7 @@ def test_a_scheduler_that_is_not_there_is_not_waited_for(block, monkeypatch, cap
 
 def test_a_worker_with_other_sources_is_refused(block, cluster, monkeypatch):
     """Its results would be of another program."""
-    monkeypatch.setattr(pool, "code_digest", lambda kind: str(os.getpid()))
+    monkeypatch.setattr(pool, "code_digest", lambda: str(os.getpid()))
     with (
         pytest.raises(FingerSimError, match="has another finger_sim"),
         pool.connected(cluster.scheduler_address),
@@ -452,6 +451,28 @@ def test_a_scene_comes_back_as_it_was_written(block, name):
     assert "deadline" not in file.read_text()
     if name == "finger_haptic":
         assert portable(scene)["mesh"] == {"file": "meshes/finger.vtu"}
+
+
+def test_every_module_that_a_job_imports_is_in_its_key():
+    """What an interpreter has loaded after both kinds of run, however deep."""
+    loaded = python(
+        """
+import sys
+import numpy as np
+from finger_sim.studies.tradeoff.motion import Motion
+from finger_sim.studies.tradeoff.run import course, times
+scene = {"mesh": {"beam": {"size": [0.02, 0.01, 0.01], "cells": [1, 1, 1]}}, "dt": 0.005,
+         "driven": {"box": [[-1, -1, 0.0099], [1, 1, 1]]}, "limits": {}, "plane": {"point": [0, 0, -1]}}
+motion = Motion("still", np.array([0.0, 0.01]), np.zeros((2, 3)), np.array([[0.0, 0.0, 0.0, 1.0]] * 2))
+course(scene, motion)
+times(scene, motion, repeats=1)
+print(*(module.__file__ for name, module in sys.modules.items() if name.split(".")[0] == "finger_sim"))
+""",
+        NUMBA_DISABLE_JIT="1",
+    ).split()
+    found = {str(path) for path in sources()}
+    assert len(loaded) > 20
+    assert set(loaded) <= found
 
 
 PRESSED = 0.26

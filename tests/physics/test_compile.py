@@ -1,0 +1,223 @@
+"""Where compiled kernels are kept: by what is in the sources, ours alone, compiled once, removed when old."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from finger_sim.physics import compile as compiling
+from finger_sim.physics import folders, sources
+
+PACKAGE = Path(compiling.__file__).parents[1]
+NAME, OTHER = "0123456789abcdef", "fedcba9876543210"
+
+
+def tiny(root: Path) -> Path:
+    """A package of that name with a kernel, its callee in another file and a constant outside physics/."""
+    physics = root / "finger_sim" / "physics"
+    physics.mkdir(parents=True)
+    for name in ("compile", "folders", "sources"):
+        shutil.copy(PACKAGE / "physics" / f"{name}.py", physics)
+    for file in (physics / "__init__.py", physics.parent / "__init__.py", physics.parent / "apart.py"):
+        file.touch()
+    (physics.parent / "numbers.py").write_text("TEN = 10.0\n")
+    (physics / "callee.py").write_text(
+        "from .compile import stage\n\n@stage\ndef twice(x):\n    return 2.0 * x\n",
+    )
+    (physics / "step.py").write_text(
+        "from ..numbers import TEN\nfrom .callee import twice\nfrom .compile import kernel\n\n"
+        "@kernel\ndef step(x):\n    return TEN + twice(x)\n",
+    )
+    return physics.parent
+
+
+START = """
+import sys
+from finger_sim.physics.compile import cache_folder, compiled_before, compiling
+from finger_sim.physics.step import step
+with compiling(lambda text: print(text, flush=True)):
+    sys.stdin.readline()
+    print(step(1.0))
+print(sum(step.stats.cache_hits.values()), compiled_before(), cache_folder())
+"""
+
+
+def start(package: Path, cache: Path) -> subprocess.Popen[str]:
+    """A process that says what it does, and waits for a line before it calls the kernel."""
+    return subprocess.Popen(
+        [sys.executable, "-c", START],
+        env=os.environ | {"PYTHONPATH": str(package.parent), "NUMBA_CACHE_DIR": str(cache), "NUMBA_DISABLE_JIT": "0"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=package.parent,
+    )
+
+
+def said(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    return process.stdout.readline()
+
+
+def finish(process: subprocess.Popen[str]) -> list[str]:
+    out, _ = process.communicate("\n", timeout=100)
+    assert process.returncode == 0
+    return out.splitlines()
+
+
+def files(folder: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_mtime_ns for path in folder.glob("*.nb*")}
+
+
+def test_kernels_go_by_content_not_by_place_and_time(tmp_path: Path) -> None:
+    """A copy elsewhere with other times finds everything compiled; an edit of callee or constant does not."""
+    first, cache = tiny(tmp_path / "first"), tmp_path / "cache"
+    told, value, last = finish(start(first, cache))
+    hits, before, folder = last.split()
+    assert (told.split(":")[0], value, hits, before) == ("compiling kernels", "12.0", "0", "True")
+    made = files(Path(folder))
+    assert len(made) == 4
+    second = Path(shutil.copytree(first, tmp_path / "second" / "finger_sim"))
+    for path in second.rglob("*.py"):
+        os.utime(path, (1e9, 1e9))
+    assert finish(start(second, cache)) == ["loading compiled kernels", "12.0", f"1 True {folder}"]
+    assert files(Path(folder)) == made
+    for name, text, value in (("numbers.py", "TEN = 20.0", "22.0"), ("physics/callee.py", None, "23.0")):
+        edited = second / name
+        edited.write_text(text or edited.read_text().replace("2.0", "3.0"))
+        told, now, last = finish(start(second, cache))
+        assert (told.split(":")[0], now, last.split()[2] == folder) == ("compiling kernels", value, False)
+
+
+def test_sources_are_those_that_imports_lead_to(tmp_path: Path) -> None:
+    """Of the real package: everything that importing the kernels loads, and nothing of ROS or the studies."""
+    package = tiny(tmp_path)
+    found = sources.imported(package, [package / "physics" / "step.py"])
+    names = {path.relative_to(package).as_posix() for path in found}
+    assert names >= {"__init__.py", "numbers.py", "physics/__init__.py", "physics/callee.py", "physics/compile.py"}
+    assert "apart.py" not in names
+    of_kernels = sources.imported(PACKAGE, sorted((PACKAGE / "physics").glob("*.py")))
+    assert PACKAGE / "arrays.py" in of_kernels
+    assert not [path for path in of_kernels if {"ros", "studies", "cli"} & set(path.parts[len(PACKAGE.parts) :])]
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_two_first_starts_compile_once(tmp_path: Path, killed: bool) -> None:
+    """The second waits and says so; then it loads what the first compiled, or compiles where that was killed."""
+    package, cache = tiny(tmp_path / "package"), tmp_path / "cache"
+    first = start(package, cache)
+    assert said(first).startswith("compiling kernels: once")
+    second = start(package, cache)
+    assert said(second).startswith("compiling kernels: another process")
+    if killed:
+        first.kill()
+        first.communicate()
+    else:
+        finish(first)
+    told, value, last = finish(second)
+    assert told.startswith("compiling kernels: once" if killed else "loading compiled kernels")
+    assert (value, last.split()[0]) == ("12.0", "0" if killed else "1")
+
+
+def test_a_folder_is_ours_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Made closed to others; refused where others own it, could have written to it, or can replace it."""
+    folder = folders.use(tmp_path / "new" / "finger_sim", NAME)
+    assert {oct(path.stat().st_mode & 0o777) for path in (folder, folder.parent, tmp_path / "new")} == {"0o700"}
+    folder.chmod(0o755)
+    folders.private(folder)
+    assert folder.stat().st_mode & 0o777 == 0o700
+    folder.chmod(0o770)
+    with pytest.raises(folders.UnsafeError, match="others can write"):
+        folders.private(folder)
+    folder.chmod(0o700)
+    link = folder.parent / OTHER
+    link.symlink_to(folder)
+    folders.private(link)
+    folder.parent.chmod(0o777)
+    with pytest.raises(folders.UnsafeError, match="anyone can replace"):
+        folders.private(folder)
+    folder.parent.chmod(0o700)
+
+    def of_another(path: Any, real: Any = os.lstat) -> os.stat_result:
+        seen = list(real(path))
+        seen[4] = os.geteuid() + 1
+        return os.stat_result(seen)
+
+    monkeypatch.setattr(os, "lstat", of_another)
+    with pytest.raises(folders.UnsafeError, match="belongs to user"):
+        folders.private(link)
+
+
+def test_where_others_own_the_folders_kernels_go_to_a_fresh_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Neither the cache's folder nor that in the temporary directory is trusted then; it is said why."""
+    monkeypatch.setattr(compiling.numba.config, "DISABLE_JIT", 0)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "home"))
+    monkeypatch.setattr(compiling.tempfile, "tempdir", str(tmp_path))
+    me = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: me + 1)
+    with caplog.at_level(logging.WARNING):
+        folder = compiling.cache_folder.__wrapped__()
+    assert folder is not None
+    assert folder.parent == tmp_path
+    assert folder.name.startswith("finger_sim-")
+    assert folder.name != f"finger_sim-{me + 1}"
+    assert folder.stat().st_mode & 0o777 == 0o700
+    (warning,) = caplog.messages
+    assert f"belongs to user {me}" in warning
+
+
+def test_without_any_folder_kernels_are_compiled_and_not_kept(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A warning, no error."""
+
+    def refuse(*arguments: Any, **named: Any) -> Any:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(compiling, "use", refuse)
+    monkeypatch.setattr(compiling.tempfile, "mkdtemp", refuse)
+    with caplog.at_level(logging.WARNING):
+        assert compiling.cache_folder.__wrapped__() is None
+    assert len(caplog.messages) == 1
+    monkeypatch.setattr(compiling, "cache_folder", lambda: None)
+    told: list[str] = []
+    with compiling.compiling(told.append):
+        assert compiling.kernel(lambda x: x + 1.0)(1.0) == 2.0
+    assert len(told) == 1
+
+
+def test_old_folders_go_but_none_in_use(tmp_path: Path) -> None:
+    """What was long unused, and what is beyond the newest; not what a process uses, nor what is not ours to judge."""
+    now = time.time()
+
+    def made(number: int, age: float) -> Path:
+        folder = tmp_path / f"{number:016x}"
+        folders.private(folder)
+        (folder / folders.IN_USE).touch()
+        (folder / "kernel.nbc").touch()
+        os.utime(folder, (now - age, now - age))
+        return folder
+
+    kept = [made(k, 60.0 * k) for k in range(1, folders.KEPT)]
+    beyond = made(99, 60.0 * 99)
+    used = folders.use(tmp_path, OTHER)  # this process
+    old = made(100, 2.0 * folders.UNUSED)
+    os.utime(used, (now - 2.0 * folders.UNUSED,) * 2)
+    strange = tmp_path / "something else"
+    strange.mkdir()
+    os.utime(strange, (1.0, 1.0))
+    half_removed = tmp_path / f".{NAME}.123"
+    half_removed.mkdir()
+    folder = folders.use(tmp_path, NAME)
+    assert not any(path.exists() for path in (old, beyond, half_removed))
+    assert all(path.exists() for path in (used, folder, strange, *kept))
