@@ -14,8 +14,6 @@ from finger_sim.ros import parameters
 from finger_sim.ros.parameters import NodeOptions, to_ros
 from finger_sim.scene.fields import specs
 
-pytestmark = pytest.mark.ros
-
 SCENE = Scene.from_dict(
     {
         "mesh": {"beam": {"size": [0.02, 0.01, 0.01], "cells": [2, 1, 1]}},

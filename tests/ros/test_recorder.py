@@ -30,8 +30,6 @@ from finger_sim.ros.bag_pipe import COMMAND, Standby
 from finger_sim.ros.recorder import Recorder, Topic
 from finger_sim.simulation import replay
 
-pytestmark = pytest.mark.ros
-
 TOPICS = [
     Topic("/a", "geometry_msgs/msg/WrenchStamped", Qos()),
     Topic("/b", "geometry_msgs/msg/PoseStamped", Qos()),
