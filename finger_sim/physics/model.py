@@ -111,7 +111,8 @@ class State(NamedTuple):
     plane_frame: Floats  # (3, 3) rows: unit normal of the plane at the step's end and two tangents, world
     plane_point: Floats  # (3,) a point of it [m], world
     plane_motion: Floats  # (6,) velocity of that point [m/s] and angular velocity [rad/s] in the step
-    target: Floats  # (14,) where a yielding bone is wanted at the end: position, orientation, velocities; 1: it moves
+    moves: Ints  # (1,) 1 where bone or plane move in this step
+    target: Floats  # (13,) where a yielding bone is wanted at the end: position, orientation, velocities
     bone: Floats  # (14,) pose of the bone (finger frame) at the step's start, then at x: position, orientation
     twist: Floats  # (6,) its velocity at its origin [m/s] and angular velocity [rad/s], world
     arms: Floats  # (nd, 4) its nodes from its origin, world [m]
@@ -432,7 +433,8 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
         plane_frame=np.eye(3),
         plane_point=np.zeros(3),
         plane_motion=np.zeros(6),
-        target=np.zeros(14),
+        moves=np.zeros(1, np.int64),
+        target=np.zeros(13),
         bone=np.zeros(14),
         twist=np.zeros(6),
         arms=aligned(bone, 4),

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats, Ints
-from .scene import Limits, Material
+from .parts import Limits, Material
 
 STIFF_BULK = 3.0
 """Bulk modulus over shear modulus from which on volume counts as kept: Poisson's ratio 0.35."""

@@ -41,13 +41,13 @@ def here(tmp_path, monkeypatch):
 
 
 def fails(capsys, *arguments):
-    """What a mistake prints: one line on stderr, nothing on stdout, exit code 2."""
+    """What a mistake prints: one line on stderr, and the place in a file below it; exit code 2."""
     assert main(arguments) == 2
     out, err = capsys.readouterr()
     lines = [line for line in err.splitlines() if line]
     assert out == ""
-    assert len(lines) == 1
     assert lines[0].startswith("finger_sim: error: ")
+    assert all(line.startswith("    ") for line in lines[1:])
     return lines[0]
 
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from finger_sim import Pose, Scene, Simulator
 from finger_sim.haptics.coupling import displacement
-from finger_sim.haptics.passivity import FORGIVING, LET_GO, LONGEST, Port, stable_stiffness
+from finger_sim.haptics.passivity import FORGIVING, LET_GO, MOST_PERIODS, Control, Port, stable_stiffness
 
 PERIOD, SUBSTEPS = 1e-3, 10
 LIMIT, TORQUE_LIMIT = 10.0, 0.5
@@ -160,7 +160,7 @@ def loop(
 
 
 def controlled(**settings: float) -> Port:
-    return Port(PERIOD, True, allowance=ALLOWANCE, force_limit=LIMIT, torque_limit=TORQUE_LIMIT, **settings)
+    return Port(PERIOD, True, Control(ALLOWANCE, **settings), force_limit=LIMIT, torque_limit=TORQUE_LIMIT)
 
 
 def halves(delay: float) -> tuple[float, float]:
@@ -493,16 +493,16 @@ def test_nothing_moves_nothing_pushes() -> None:
     """All zero, silent, or a delay beyond the longest: finite, and nothing happens."""
     port = controlled()
     for delay, fresh in itertools.product((0.0, 2e-3, 0.9, 7.0), (True, False)):
-        for _ in range(LONGEST + 100):
+        for _ in range(MOST_PERIODS + 100):
             assert port.step((0.0,) * 6, (0.0,) * 6, delay, fresh) == (0.0,) * 6
     port.controlled = False
-    for k in range(2 * LONGEST):
+    for k in range(2 * MOST_PERIODS):
         sent = port.step(
-            (0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1e-6, 0.0, 0.0, 0.0), 2 * LONGEST * PERIOD, k % 7 == 0
+            (0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1e-6, 0.0, 0.0, 0.0), 2 * MOST_PERIODS * PERIOD, k % 7 == 0
         )
         assert all(map(math.isfinite, sent))
     assert all(math.isfinite(v) for v in (port.energy, port.leak, port.leaked, port.dissipated, port.factor))
-    assert port.energy == pytest.approx((LONGEST - 10) // 7 * 1e-6, rel=0.05)
+    assert port.energy == pytest.approx((MOST_PERIODS - 10) // 7 * 1e-6, rel=0.05)
 
 
 def test_while_the_delay_changes_a_motion_still_meets_a_wrench() -> None:
@@ -516,11 +516,11 @@ def test_while_the_delay_changes_a_motion_still_meets_a_wrench() -> None:
 
 
 def test_a_delay_beyond_the_longest_counts_as_the_longest() -> None:
-    """A push at the start meets the motion LONGEST periods later."""
+    """A push at the start meets the motion MOST_PERIODS periods later."""
     port = Port(PERIOD)
-    for k in range(LONGEST + 5):
+    for k in range(MOST_PERIODS + 5):
         force = 1.0 if k < 10 else 0.0
-        port.step((0.0, 0.0, force, 0.0, 0.0, 0.0), (0.0, 0.0, 1e-3, 0.0, 0.0, 0.0), 5 * LONGEST * PERIOD)
+        port.step((0.0, 0.0, force, 0.0, 0.0, 0.0), (0.0, 0.0, 1e-3, 0.0, 0.0, 0.0), 5 * MOST_PERIODS * PERIOD)
     assert port.energy == pytest.approx(4e-3)
 
 

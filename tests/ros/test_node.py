@@ -38,7 +38,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
     folder = tmp_path_factory.mktemp("node")
-    arguments = ("-p", f"scene:={write_block(folder)}", "-p", f"record_directory:={folder}")
+    arguments = ("-p", f"scene:={write_block(folder)}", "-p", f"record_directory:={folder / 'bags'}")
     with NodeProcess(folder / "log", *arguments) as node:
         node.wait_for("ready after")
         yield node
@@ -413,11 +413,21 @@ def test_a_full_disk_ends_the_recording_not_the_node(client, node):
 
 def test_a_recording_that_cannot_start_says_why(client):
     """The node lives on."""
-    assert client.set("record_directory", "/proc/no/such/place").successful
+    bags = Path(client.get("record_directory"))
+    bags.rename(bags.with_name("elsewhere"))
+    bags.write_text("a file where bags should go")
     answer = client.call(SetBool, "/finger/record", SetBool.Request(data=True))
     assert not answer.success
-    assert "/proc/no/such/place" in answer.message
+    assert str(bags) in answer.message
     client.report()
+
+
+def test_a_peer_cannot_choose_where_bags_go(client, tmp_path):
+    """The folder for bags is that of the start: no parameter or service makes folders elsewhere."""
+    assert not client.set("record_directory", str(tmp_path)).successful
+    assert not client.set("record", str(tmp_path / "bag")).successful
+    client.call(SetBool, "/finger/record", SetBool.Request(data=True))
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])

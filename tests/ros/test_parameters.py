@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from cases import for_each
 from ros_helpers import Client, NodeProcess, write_block
 
-from finger_sim import Scene, SceneError
-from finger_sim.ros import parameters
-from finger_sim.ros.parameters import NodeOptions, to_ros
+from finger_sim import FingerSimError, Scene, SceneError
+from finger_sim.ros import parameters, rclpy_private
+from finger_sim.ros.options import NodeOptions
+from finger_sim.ros.parameters import to_ros
 from finger_sim.scene.fields import specs
 
 SCENE = Scene.from_dict(
@@ -97,10 +100,71 @@ def test_defaults_of_the_options_are_allowed():
     assert parameters.options_from({}) == NodeOptions()
 
 
-def test_unknown_overrides_are_named_with_the_nearest():
-    """A typing error is told from quality-of-service overrides, which rclpy reads itself."""
-    given = ["plane.frictoin", "dt", "zzz", "qos_overrides./tf.publisher.depth"]
-    assert parameters.unknown(given, BY_NAME) == {"plane.frictoin": "plane.friction", "zzz": ""}
+class Declared:
+    """A node with parameters of these names."""
+
+    def __init__(self, names):
+        self.names = set(names)
+
+    def has_parameter(self, name):
+        return name in self.names
+
+    def get_parameters_by_prefix(self, prefix):
+        return {n.removeprefix(f"{prefix}."): None for n in self.names if n.startswith(f"{prefix}.")}
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("plane.fricton", "did you mean plane.friction?"),
+        ("Dt", "did you mean dt?"),
+        ("mash_rate", "did you mean mesh_rate?"),
+        ("zzz", "the node has no such parameter"),
+        ("solver.deadlines.zzz", "the node has no such parameter"),
+        ("limits.viscosity", "the scene soft.yaml has no block 'limits'"),
+        ("mesh.beam.size", "the scene soft.yaml has no block 'mesh.beam'"),
+    ],
+)
+def test_a_name_that_the_node_does_not_have_is_refused(name, says):
+    """With the nearest there is, or the block that this scene does not have."""
+    scene = Scene.from_dict({"mesh": {"file": "meshes/finger.vtu"}, "plane": {}})
+    node = Declared({p.name for p in scene.parameters()} | set(specs(NodeOptions)) | {"use_sim_time"})
+    with pytest.raises(SceneError) as caught:
+        parameters.require_known({"dt": 0.002, name: 0.2}, node, scene, "soft.yaml")
+    assert str(caught.value).startswith(f"{name}: got 0.2")
+    assert says in str(caught.value)
+
+
+def test_names_that_ros_owns_are_not_refused():
+    """Its own parameters, and overrides of qualities; of these one that changes nothing is told, with the nearest."""
+    right = "qos_overrides./command_pose.subscription.reliability"
+    node = Declared([*BY_NAME, "use_sim_time", "start_type_description_service", right])
+    wrong = "qos_overrides./comand_pose.subscription.reliability"
+    given = dict.fromkeys(["use_sim_time", "start_type_description_service", right, wrong], True)
+    parameters.require_known(given, node, SCENE, "")
+    assert list(parameters.unused_qualities([*given, "qos_overrides./clock.subscription.depth"], node)) == [
+        f"parameter {wrong} changes nothing here; did you mean {right}?"
+    ]
+
+
+def test_an_rclpy_that_lacks_something_is_named(monkeypatch):
+    """What is missing, and the version of rclpy; not an AttributeError later on."""
+    rclpy_private.require()
+    version = r"rclpy \S+ has no rclpy\."
+    with pytest.raises(FingerSimError, match=version + r"node\.Node\._parameter_overrides"):
+        rclpy_private.overrides(object())
+    monkeypatch.delattr("rclpy.subscription.Subscription.handle")
+    with pytest.raises(FingerSimError, match=version + r"subscription\.Subscription\.handle, which finger_sim needs"):
+        rclpy_private.require()
+
+
+def test_private_names_of_rclpy_are_used_in_one_file():
+    """Where they are checked."""
+    private = re.compile(
+        r"rclpy\.impl|_rclpy|rclpy_implementation|\.handle\b|_parameter_overrides|\bself\._parameters\b"
+    )
+    folder = Path(parameters.__file__).parent
+    assert [p.name for p in folder.glob("*.py") if private.search(p.read_text())] == ["rclpy_private.py"]
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +172,7 @@ def client(tmp_path_factory):
     folder = tmp_path_factory.mktemp("parameters")
     overrides = ("-p", "plane.friction:=0.25", "-p", "solver.tolerance:=0.01", "-p", "gravity:=[0,0,-1]")
     scene = write_block(folder)
-    with NodeProcess(folder / "log", "-p", f"scene:={scene}", *overrides, "-p", "plane.frictoin:=0.1") as node:
+    with NodeProcess(folder / "log", "-p", f"scene:={scene}", *overrides) as node:
         node.wait_for("ready after")
         with Client(node.domain) as client:
             client.log = node
@@ -125,7 +189,6 @@ def test_the_node_has_every_parameter_of_scene_and_options(client, tmp_path):
     assert list(client.get("gravity")) == [0.0, 0.0, -1.0]
     assert list(client.get("limits.stretch")) == [1.05, 1.25, math.inf]
     assert client.get("dt") == 0.005
-    assert "plane.frictoin is not known" in client.log.output
 
 
 def test_the_node_describes_unit_and_range(client):
@@ -148,7 +211,7 @@ def test_the_running_node_refuses_what_is_beyond_a_bound(client, name, value):
 
 def test_the_running_node_refuses_what_needs_a_rebuild(client):
     """Read-only parameters stay as they are."""
-    for name in ("dt", "scene", "material.young", "limits.stretch", "record_queue"):
+    for name in ("dt", "scene", "material.young", "limits.stretch", "record_queue", "record_directory"):
         result = client.set(name, client.get(name))
         assert not result.successful, name
         assert name in result.reason
@@ -180,6 +243,8 @@ def test_a_start_that_cannot_work_ends_with_one_line(tmp_path):
         "dt:=fast": "dt",
         "dt:=[0.1": "dt",
         "plane.friction:=-1.0": "plane.friction",
+        "plane.fricton:=0.2": "plane.fricton: got 0.2, allowed: no value: the node has no such parameter; did",
+        "record:=true": "record: got True, allowed: a text (Path of a bag",
         "wrench_frame:=sensor": "wrench_frame",
         "record:=/proc/no/such/place": "/proc/no/such/place",
     }

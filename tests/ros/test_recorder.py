@@ -27,12 +27,12 @@ from finger_sim import BagError, Scene
 from finger_sim.bags.reader import BagReader, Qos
 from finger_sim.bags.ring import SIZE
 from finger_sim.ros.bag_pipe import COMMAND, Standby
-from finger_sim.ros.recorder import Recorder, Topic
+from finger_sim.ros.recorder import RecordedTopic, Recorder
 from finger_sim.simulation import replay
 
 TOPICS = [
-    Topic("/a", "geometry_msgs/msg/WrenchStamped", Qos()),
-    Topic("/b", "geometry_msgs/msg/PoseStamped", Qos()),
+    RecordedTopic("/a", "geometry_msgs/msg/WrenchStamped", Qos()),
+    RecordedTopic("/b", "geometry_msgs/msg/PoseStamped", Qos()),
 ]
 WRENCH = bytes([0, 1, 0, 0]) + bytes(60)
 

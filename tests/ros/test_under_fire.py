@@ -15,6 +15,7 @@ from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
 from ros_helpers import Client, NodeProcess, command, environment, write_block
 from shape_msgs.msg import Mesh
 
@@ -159,6 +160,14 @@ def bad_ones():
         q = message.pose.orientation
         q.x, q.y, q.z, q.w = quaternion
         yield message
+    for sec, nanosec in ((-1, 0), (2**31 - 1, 2**32 - 1)):
+        message = command(0.5)
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+        yield message
+    message = command(0.5)
+    message.header.frame_id = "w" * 100_000
+    yield message
+    yield serialize_message(command(0.5)).replace(b"world", b"w\xffrld")
 
 
 def test_every_command_of_no_use_is_counted_and_none_followed(client):

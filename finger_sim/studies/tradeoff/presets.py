@@ -33,7 +33,7 @@ PRESETS: dict[str, tuple[str, Mapping[str, Any]]] = {
         {"dt": 4e-3, **LAGGED, "solver.tolerance": 1e-2, "plane.stiffness": 120.0},
     ),
     "haptic": (
-        "for 1 kHz with time to spare: one stiffness matrix for four steps, a stiffer contact",
+        "for 1 kHz with time to spare: one stiffness matrix for four steps",
         {**LAGGED, "plane.stiffness": 250.0},
     ),
     "balanced": (
