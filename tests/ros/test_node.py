@@ -27,8 +27,6 @@ from visualization_msgs.msg import Marker
 
 from finger_sim.bags.reader import BagReader
 
-pytestmark = pytest.mark.ros
-
 REPORTED = {
     "real-time factor", "step time p50 [ms]", "step time p99 [ms]", "overruns", "late steps", "iterations",
     "residual", "active rows", "max strain/limit", "penetration [mm]", "status", "command age [s]",

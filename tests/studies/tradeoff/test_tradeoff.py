@@ -428,7 +428,7 @@ def test_the_most_accurate_that_holds_is_chosen():
 
 def test_a_rate_that_holds_is_written_as_a_scene(block, capsys):
     """The scene loads, at that rate, with its measures above; a rate that nothing holds fails."""
-    assert main(["tradeoff", "--for-rate", "50", "--scene", block, "--duration", "0.26", "--out", "out"]) == 0
+    assert main(["tradeoff", "--for-rate", "50", "--scene", block, "--duration", "0.14", "--out", "out"]) == 0
     assert "out/block_50hz.yaml" in capsys.readouterr().out
     scene = Scene.load("out/block_50hz.yaml")
     assert scene.dt == pytest.approx(0.02)
