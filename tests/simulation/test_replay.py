@@ -201,8 +201,8 @@ def plane_poses(path: Path, receipts: list[int], bad: tuple[int, ...] = ()) -> P
 def test_the_plane_goes_where_it_was_told(tmp_path: Path) -> None:
     """A pose of the plane counts once, in the first step that begins after its receipt, the newest of several.
 
-    On the newest before the first command it rests at the beginning; one in another frame is left out, but copied; the last
-    one is followed though no command comes with it.
+    At the beginning it rests where the newest before the first command has it; one in another frame is left out, but
+    copied; the last one is followed though no command comes with it.
     """
     ms = 1_000_000
     bag = plane_poses(tmp_path / "in", [-50 * ms, -1, 1, 3 * ms, 3 * ms + 5, 3 * ms + 7, 20 * ms, 90 * ms], bad=(6,))
