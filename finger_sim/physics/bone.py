@@ -24,15 +24,12 @@ nodes, where vectors of velocity hold G_d V.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from ..arrays import Floats
 from .compile import stage
 from .lanes import Lanes, lane, load4, load8, splat4, splat8, store4, store8
 from .linear_solver import solve, solve8
-
-if TYPE_CHECKING:
-    from .model import Model, State
+from .model import Model, State
 
 PULLED, TWISTED, STOPPED = 1, 2, 4  # spring at its force limit, at its torque limit; bone at the plane: bits
 _STOP = 1e3  # stiffness of the stop, in units of the body's inertia within a step, and ten times the spring's at least
@@ -52,7 +49,13 @@ def aim_bone(model: Model, state: State, h: float, again: bool) -> None:
     again: state.x is an estimate of the step's end, else its start, from which the present velocity leads on.
     """
     driven, x, v = model.driven, state.x, state.v
-    pose, twist, target, base, arms = state.bone[7:], state.twist, state.target, state.bone_base, state.arms
+    pose, twist, target, base, arms = (
+        state.bone[7:],
+        state.twist,
+        state.target,
+        state.yielding.base,
+        state.yielding.arms,
+    )
     lead = 0.0 if again else h
     mean0 = mean1 = mean2 = 0.0
     for d in range(driven.shape[0]):
@@ -69,7 +72,7 @@ def aim_bone(model: Model, state: State, h: float, again: bool) -> None:
     for i in range(3):
         base[i] = spring[0, 0] * (target[i] - pose[i] - lead * twist[i]) + spring[0, 1] * (target[7 + i] - twist[i])
         base[3 + i] = spring[1, 0] * (turn[i] - lead * twist[3 + i]) + spring[1, 1] * (target[10 + i] - twist[3 + i])
-    load, gravity, total = state.bone_load, model.gravity, 0.0
+    load, gravity, total = state.yielding.load, model.gravity, 0.0
     m0 = m1 = m2 = 0.0
     for n in range(x.shape[0]):
         mass = model.mass[n]
@@ -81,8 +84,8 @@ def aim_bone(model: Model, state: State, h: float, again: bool) -> None:
     load[4] = -(m2 * gravity[0] - m0 * gravity[2])
     load[5] = -(m0 * gravity[1] - m1 * gravity[0])
     pull = math.sqrt(base[0] * base[0] + base[1] * base[1] + base[2] * base[2])
-    state.bone_reach[0] = h * min(pull, model.spring_limit[0]) / total
-    stop = state.bone_stop
+    state.yielding.reach[0] = h * min(pull, model.spring_limit[0]) / total
+    stop = state.yielding.stop
     if model.has_plane:
         count = driven.shape[0]
         mean0, mean1, mean2 = mean0 / count, mean1 / count, mean2 / count
@@ -101,10 +104,16 @@ def bone_residual(model: Model, state: State, h: float, change: Floats, r: Float
     """Gather the residual of the bone at `change` into slots nf + 1 and nf + 2 of r; which of PULLED … hold.
 
     The driven nodes' slots of r become 0. The spring's wrench on the bone goes into state.coupling [N, N m], the stop's
-    force into state.bone_stop[8] [N].
+    force into state.yielding.stop[8] [N].
     """
-    nf, arms, spring, base, load = model.free.shape[0], state.arms, model.spring, state.bone_base, state.bone_load
-    coupling, pulls = state.coupling, state.bone_pulls
+    nf, arms, spring, base, load = (
+        model.free.shape[0],
+        state.yielding.arms,
+        model.spring,
+        state.yielding.base,
+        state.yielding.load,
+    )
+    coupling, pulls = state.coupling, state.yielding.pulls
     force, t0, t1, t2 = splat4(0.0), 0.0, 0.0, 0.0
     for d in range(arms.shape[0]):
         f = load4(r, nf + 3 + d, 0)
@@ -132,7 +141,7 @@ def bone_residual(model: Model, state: State, h: float, change: Floats, r: Float
             pulls[part, i] = coupling[3 * part + i] / size if share < 1.0 else 0.0
             coupling[3 * part + i] *= share
             r[slot, i] += h * (coupling[3 * part + i] + load[3 * part + i])
-    stop = state.bone_stop
+    stop = state.yielding.stop
     stop[8] = 0.0
     if model.has_plane:
         gap = stop[6]
@@ -150,10 +159,17 @@ def bone_residual(model: Model, state: State, h: float, change: Floats, r: Float
 @stage
 def factor_bone(model: Model, state: State, h: float, contacts: int, rows: int, holds: int) -> bool:
     """B, H_ff⁻¹ B and the Cholesky factor of S, for rows and `holds` as they are. False: S is not positive definite."""
-    nf, arms, A, S, B, Y = model.free.shape[0], state.arms, state.A, state.bone_S, state.border, state.border_solved
-    J, stiffness, row_slot, scratch = state.J, state.stiffness, state.row_slot, state.bone_scratch
+    nf, arms, A, S, B, Y = (
+        model.free.shape[0],
+        state.yielding.arms,
+        state.A,
+        state.yielding.S,
+        state.yielding.border,
+        state.yielding.border_solved,
+    )
+    J, stiffness, row_slot, scratch = state.J, state.newton.stiffness, state.row_slot, state.yielding.scratch
     block_row, block_column = model.block_row, model.block_column
-    state.bone_holds[1] = holds
+    state.yielding.holds[1] = holds
     S[:] = 0.0
     B[:] = 0.0
     scratch[:] = 0.0
@@ -192,7 +208,7 @@ def factor_bone(model: Model, state: State, h: float, contacts: int, rows: int, 
                 if slot < nf:
                     for j in range(3):
                         store8(B, slot, j, load8(B, slot, j) + load8(scratch, 0, 0) * (weight * J[row, n, j]))
-    spring, pulls, stop = model.spring, state.bone_pulls, state.bone_stop
+    spring, pulls, stop = model.spring, state.yielding.pulls, state.yielding.stop
     for part in range(2):
         gives = h * (h * spring[part, 0] + spring[part, 1]) * pulls[part, 3]
         for i in range(3):
@@ -267,11 +283,11 @@ def solve_all(model: Model, state: State, y: Floats) -> None:
     if not model.has_bone:
         solve(model.pattern, state.L_lower, state.L_inverse, y)
         return
-    nf, S, Y, b = model.free.shape[0], state.bone_S, state.border_solved, state.bone_scratch[0]
+    nf, S, Y, b = model.free.shape[0], state.yielding.S, state.yielding.border_solved, state.yielding.scratch[0]
     total = splat8(0.0)
     for k in range(nf):
         total = total + load8(Y, k, 0) * y[k, 0] + load8(Y, k, 1) * y[k, 1] + load8(Y, k, 2) * y[k, 2]
-    store8(state.bone_scratch, 0, 0, total)
+    store8(state.yielding.scratch, 0, 0, total)
     for i in range(6):
         b[i] = y[nf + 1 + i // 3, i % 3] - b[i]
     for i in range(6):
@@ -283,11 +299,11 @@ def solve_all(model: Model, state: State, y: Floats) -> None:
             b[i] -= S[j, i] * b[j]
         b[i] /= S[i, i]
     solve(model.pattern, state.L_lower, state.L_inverse, y)
-    moves = load8(state.bone_scratch, 0, 0)
+    moves = load8(state.yielding.scratch, 0, 0)
     for k in range(nf):
         for j in range(3):
-            store8(state.bone_scratch, 1, 0, load8(Y, k, j) * moves)
-            part = state.bone_scratch[1]
+            store8(state.yielding.scratch, 1, 0, load8(Y, k, j) * moves)
+            part = state.yielding.scratch[1]
             y[k, j] -= part[0] + part[1] + part[2] + part[3] + part[4] + part[5]
     for i in range(3):
         y[nf + 1, i], y[nf + 2, i] = b[i], b[3 + i]
@@ -297,7 +313,7 @@ def solve_all(model: Model, state: State, y: Floats) -> None:
 @stage
 def spread(model: Model, state: State, y: Floats) -> None:
     """Slots of the driven nodes: G_d V of the V in slots nf + 1 and nf + 2."""
-    nf, arms = model.free.shape[0], state.arms
+    nf, arms = model.free.shape[0], state.yielding.arms
     w, turn = load4(y, nf + 1, 0), load4(y, nf + 2, 0)
     for d in range(arms.shape[0]):
         a, b, c = cross(turn, load4(arms, d, 0))

@@ -12,6 +12,8 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+from . import lowering  # noqa: F401  (lanes mean nothing to the compiler without it)
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 # Fused multiply-add only. nnan and ninf would compile guards such as isfinite away; reassoc gave other last bits in

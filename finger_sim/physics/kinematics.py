@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..arrays import Floats, Ints
 from .compile import formula, kernel, stage
-from .lanes import bits, gather3, load8, store8
+from .lanes import BATCH, bits, gather3, load8, store8
+from .model import Model, State
 from .polar import Matrix, Vector, polar, store_matrix
 from .work import DECOMPOSITIONS
 
-if TYPE_CHECKING:
-    from .model import Model, State
-
-BATCH = 32  # tetrahedra decomposed side by side: a fixed, contiguous inner loop, long enough that LLVM vectorises it
 _SWEEPS = 30  # one-sided Jacobi converges quadratically: 3 to 6 in practice
 _ORTHOGONAL = 1e-15
 _TURN = 0.1  # angle that a tetrahedron may turn by while steps share A [rad]
@@ -157,9 +153,9 @@ def _normalise(U: Floats, p: int, q: int, s: Floats) -> None:
 def kinematics(model: Model, state: State) -> None:
     """R and Biot strain E of every tetrahedron at the state's positions; F = U diag(s) Vᵀ where a projection needs it.
 
-    Writes state.R, E, quaternion, and state.F, U, s, V for limits on principal stretches.
+    Writes state.R, E, quaternion, and state.principal.F, U, s, V for limits on principal stretches.
     """
-    scratch = state.turn.reshape(-1)[:32].reshape((2, 4, 4))
+    scratch = state.principal.turn.reshape(-1)[:32].reshape((2, 4, 4))
     x, r, nodes = state.x, model.lane_gradients, model.lane_node
     rotations, strains, quaternion = state.R, state.E, state.quaternion
     inverted = 0
@@ -182,10 +178,17 @@ def kinematics(model: Model, state: State) -> None:
         store8(strains, b, 4, 0.5 * (u02 + u20))
         store8(strains, b, 5, 0.5 * (u01 + u10))
     state.inverted[0] = inverted
-    if state.F.shape[0] > 0:
+    if state.principal.F.shape[0] > 0:
         state.work[DECOMPOSITIONS] += model.tets.shape[0]
-        deformation_gradient(model.tets, model.gradients, state.x, state.F)
-        signed_svds(state.F, state.U, state.s, state.V, state.columns, state.turn)
+        deformation_gradient(model.tets, model.gradients, state.x, state.principal.F)
+        signed_svds(
+            state.principal.F,
+            state.principal.U,
+            state.principal.s,
+            state.principal.V,
+            state.principal.columns,
+            state.principal.turn,
+        )
 
 
 @stage

@@ -20,7 +20,6 @@ Typically one factorisation a step: the rows that held before hold again.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from ..arrays import Floats
 from .bone import bone_residual, factor_bone, solve_all
@@ -29,11 +28,9 @@ from .compile import formula, stage
 from .elasticity import slot_velocities
 from .lanes import Lanes, lane, load4, splat4, store4, sum3
 from .linear_solver import factor
+from .model import Model, State
 from .vectors import add, clear, copy, copy_first, inner, subtract_product
 from .work import CORRECTIONS, FACTORISATIONS
-
-if TYPE_CHECKING:
-    from .model import Model, State
 
 _CORRECTIONS = 1  # solves that bring friction's unsymmetric part in
 _SLACK = 0.5  # a line search ends where dᵀr is within so much of what it was to either side of 0
@@ -57,16 +54,16 @@ def newton(
     """
     began = seconds(state.time) if model.deadline > 0.0 else 0.0
     if anew:
-        state.factored_holds[0] = _OTHER_MATRIX
+        state.newton.factored_holds[0] = _OTHER_MATRIX
     remainder(model, state)
     change, tried, direction, best, best_change = (
-        state.change, state.tried, state.direction, state.best, state.best_change
+        state.newton.change, state.newton.tried, state.newton.direction, state.best, state.newton.best_change
     )  # fmt: skip
     lam = state.lam
     if rows == 0 and not model.has_bone:
-        copy(direction, state.start_residual)
+        copy(direction, state.newton.start_residual)
         lap(state.laps, state.time, SOLVE)
-        definite = state.factored_holds[0] == 0 or refactor(model, state, h, 0, 0, 0)
+        definite = state.newton.factored_holds[0] == 0 or refactor(model, state, h, 0, 0, 0)
         lap(state.laps, state.time, FACTOR)
         solve_all(model, state, direction)
         add_to_velocities(model, state, direction)
@@ -75,9 +72,9 @@ def newton(
     residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, change, True)
     if not missing < math.inf:
         return 0, residual, False
-    stale = holds != state.factored_holds[0]
+    stale = holds != state.newton.factored_holds[0]
     changed = False
-    copy_first(state.factored, state.stiffness, rows)
+    copy_first(state.newton.factored, state.newton.stiffness, rows)
     least, least_missing, iterations, stalled = residual, missing, 0, 0
     clear(best_change)
     copy_first(best, lam, rows)
@@ -96,7 +93,7 @@ def newton(
         for trial in range(_TRIALS):
             add(tried, change, direction, part)
             residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, tried, False)
-            ahead = inner(direction, state.next_residual)
+            ahead = inner(direction, state.newton.next_residual)
             if (ahead >= -_SLACK * ascent and (ahead <= _SLACK * ascent or trial == 0)) or residual <= tolerance:
                 break
             if ahead > 0.0:
@@ -117,16 +114,16 @@ def newton(
         stale = residual > _SLOW * before
     copy_first(lam, best, rows)
     if model.has_bone:
-        bone_residual(model, state, h, best_change, state.next_residual)
+        bone_residual(model, state, h, best_change, state.newton.next_residual)
     add_to_velocities(model, state, best_change)
     return iterations, least, True
 
 
 @stage
 def newton_direction(model: Model, state: State, h: float, contacts: int) -> float:
-    """H⁻¹ r into state.direction, friction's unsymmetric part included; returns dᵀr."""
-    direction, other, r, J = state.direction, state.tried, state.next_residual, state.J
-    slip, stiffness, row_slot = state.slip, state.stiffness, state.row_slot
+    """H⁻¹ r into state.newton.direction, friction's unsymmetric part included; returns dᵀr."""
+    direction, other, r, J = state.newton.direction, state.newton.tried, state.newton.next_residual, state.J
+    slip, stiffness, row_slot = state.newton.slip, state.newton.stiffness, state.row_slot
     copy(direction, r)
     solve_all(model, state, direction)
     ascent = inner(direction, r)
@@ -154,28 +151,28 @@ def newton_direction(model: Model, state: State, h: float, contacts: int) -> flo
 
 @stage
 def remainder(model: Model, state: State) -> None:
-    """b − A v of the free nodes' velocities into state.start_residual."""
+    """b − A v of the free nodes' velocities into state.newton.start_residual."""
     slot_velocities(model, state)
-    copy(state.start_residual, state.rhs)
+    copy(state.newton.start_residual, state.rhs)
     nf = model.free.shape[0]
-    subtract_product(nf, model.block_row, model.block_column, state.A, state.slot_velocity, state.start_residual)
+    subtract_product(nf, model.block_row, model.block_column, state.A, state.slot_velocity, state.newton.start_residual)
 
 
 @stage
 def evaluate(
     model: Model, state: State, h: float, contacts: int, rows: int, change: Floats, still: bool
 ) -> tuple[float, float, int, bool]:
-    """r at δ = `change` (`still`: 0) into state.next_residual; row forces, their part of the Hessian, slip directions.
+    """r at δ = `change` (`still`: 0) into state.newton.next_residual; row forces, their part of the Hessian, slip directions.
 
     Returns the residual; the largest force missing [N]; how many limits hold and contacts stick and slip, as one
     number; and whether these are other ones than in the factors at hand.
     """
-    r, J, lam, row_slot, scale = state.next_residual, state.J, state.lam, state.row_slot, state.scale
+    r, J, lam, row_slot, scale = state.newton.next_residual, state.J, state.lam, state.row_slot, state.scale
     constant, compliance, stiffness, factored, slip = (
-        state.constant, state.compliance, state.stiffness, state.factored, state.slip
+        state.constant, state.compliance, state.newton.stiffness, state.newton.factored, state.newton.slip
     )  # fmt: skip
     mu_friction, nf = model.mu_friction, model.free.shape[0]
-    copy(r, state.start_residual)
+    copy(r, state.newton.start_residual)
     if not still:
         subtract_product(nf, model.block_row, model.block_column, state.A, change, r)
     largest, held, changed = 0.0, 0, False
@@ -228,8 +225,8 @@ def evaluate(
     store4(r, nf, 0, splat4(0.0))
     if model.has_bone:
         bone = bone_residual(model, state, h, change, r)
-        changed |= bone != state.bone_holds[1]
-        state.bone_holds[0] = bone
+        changed |= bone != state.yielding.holds[1]
+        state.yielding.holds[0] = bone
         held += bone * _BONE
     worst = total = 0.0
     for k in range(r.shape[0]):
@@ -247,12 +244,12 @@ def evaluate(
 
 @stage
 def refactor(model: Model, state: State, h: float, contacts: int, rows: int, holds: int) -> bool:
-    """Factors of H at the rows that hold now (state.stiffness). False if H is not positive definite."""
+    """Factors of H at the rows that hold now (state.newton.stiffness). False if H is not positive definite."""
     nf, J, A, D, L = model.free.shape[0], state.J, state.A, state.L_diagonal, state.L_lower
     block_place, tet_place, pair_row, pair_column = (
         model.block_place, model.tet_place, model.pair_row, model.pair_column
     )  # fmt: skip
-    stiffness, slip, row_slot, row_tet = state.stiffness, state.slip, state.row_slot, state.row_tet
+    stiffness, slip, row_slot, row_tet = state.newton.stiffness, state.newton.slip, state.row_slot, state.row_tet
     for k in range(nf):
         for j in range(3):
             store4(D, k, j, load4(A, k, j))
@@ -262,8 +259,8 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int, hol
     for p in range(block_place.shape[0]):
         for j in range(3):
             store4(L, block_place[p], j, load4(A, nf + p, j))
-    copy_first(state.factored, stiffness, rows)
-    state.factored_holds[0] = holds
+    copy_first(state.newton.factored, stiffness, rows)
+    state.newton.factored_holds[0] = holds
     state.work[FACTORISATIONS] += 1
     for c in range(contacts // 3):
         row = 3 * c
@@ -284,7 +281,7 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int, hol
                     add_outer(L, place, load4(J, row, i) * weight, J, row, k)
     definite = factor(model.pattern, D, L, state.L_inverse)
     if definite and model.has_bone:
-        definite = factor_bone(model, state, h, contacts, rows, state.bone_holds[0])
+        definite = factor_bone(model, state, h, contacts, rows, state.yielding.holds[0])
     return definite
 
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import TYPE_CHECKING
 
 from ..arrays import Floats
-from ..scene.locking import STRAINS
 from .bone import aim_bone, move_bone, place_driven
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
@@ -16,18 +14,17 @@ from .elasticity import assemble
 from .kinematics import kinematics, turned_far
 from .lanes import load4, splat8, store4, store8, sum3
 from .linear_solver import solve
-from .methods import NEWTON, PGS
+from .locking import STRAINS
+from .methods import NEWTON, NONE, PGS, TENSOR
+from .model import Model, State
 from .newton import newton, refactor
 from .pgs import apply_rows, inverse_between, solve_rows, touched_nodes
 from .rows import finish_rows
-from .strain_limits import NONE, TENSOR, limit_rows, strain_ratio
+from .strain_limits import limit_rows, strain_ratio
 from .tensor_limit import DIRECTIONS, find_near, greatest_strain, tensor_rows
 from .vectors import add, copy
 from .work import CONTACTS as CONTACT_ROWS
 from .work import LIMITS, LINEAR
-
-if TYPE_CHECKING:
-    from .model import Model, State
 
 
 class Status(enum.IntFlag):
@@ -269,7 +266,7 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
         result[PENETRATION] = deepest(model, state)
         if model.has_bone:
             for i in range(6):
-                state.wrench[i] += state.bone_stop[8] * state.bone_stop[i]
+                state.wrench[i] += state.yielding.stop[8] * state.yielding.stop[i]
     if model.projection != NONE:
         if model.projection == TENSOR:
             result[STRAIN_RATIO] = greatest_strain(model, state)

@@ -20,29 +20,18 @@ The denominator vanishes where singular values cross (and at s_i = −s_k, inver
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import Floats, Ints
-from ..scene import Limits
 from .compile import kernel, stage
 from .kinematics import signed_svd
+from .methods import HYPERBOLIC, ISOTROPIC, LINEAR, ORTHOGONAL, PROJECTIONS, TENSOR
+from .model import Model, State
 from .tensor_limit import evaluate_tensor, limit_factors
 from .work import LIMITS_SEEN
-
-if TYPE_CHECKING:
-    from .model import Model, State
-
-NONE, HYPERBOLIC, ISOTROPIC, TENSOR, ORTHOGONAL, LINEAR = range(6)
-PROJECTIONS = {
-    "hyperbolic": HYPERBOLIC,
-    "isotropic": ISOTROPIC,
-    "tensor": TENSOR,
-    "orthogonal": ORTHOGONAL,
-    "linear": LINEAR,
-}
 
 SOLVER_GAP = 0.03  # |s_i² − s_k²| in a step's rows: what keeps a force near crossing singular values from exploding
 EXACT_GAP = 1e-12  # in `evaluate`: the plain derivative
@@ -52,6 +41,22 @@ _MARGIN, _RIGID_MARGIN = 0.05, 0.15
 _NO_GRADIENT = 1e-20  # |J|² at free nodes, in units of the tetrahedra's size, of a row that nothing can move
 _LEAST_REACH = 1e-9  # of |diag(s_min) V e_i| in a gradient
 _RATIO_ROOM = 1e-3  # strain/limit is counted in units of the room, but of no less than this
+
+
+class Limits(Protocol):
+    """What `evaluate` asks of a scene's limits."""
+
+    @property
+    def projection(self) -> str:
+        """One of methods.PROJECTIONS."""
+
+    @property
+    def stretch_room(self) -> Floats:
+        """(3,) a⁺ along e1, e2, e3; ∞: free."""
+
+    @property
+    def compress_room(self) -> Floats:
+        """(3,) a⁻ along e1, e2, e3; ∞: free."""
 
 
 def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floats, Floats]:
@@ -184,7 +189,7 @@ def gradient(
 @kernel
 def strain_ratio(model: Model, state: State) -> None:
     """strain/limit of every tetrahedron into state.strain_ratio (T,): 1 is exactly at its nearest limit."""
-    stretches, axes_of, ratio, projection = state.s, state.V, state.strain_ratio, model.projection
+    stretches, axes_of, ratio, projection = state.principal.s, state.principal.V, state.strain_ratio, model.projection
     stretch_room, compress_room = model.stretch_room, model.compress_room
     for t in range(ratio.shape[0]):
         s, V = stretches[t], axes_of[t]
@@ -207,14 +212,20 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
     Writes state.J (rows, 4, 4) [1/m], row_slot, constant C + h J v at state.v, and the row's key: tetrahedron, i, j
     and side; the rest is for `finish_rows`. -1 when the arrays hold no more rows.
     """
-    p, q = state.P[0], state.P[1]
+    p, q = state.principal.P[0], state.principal.P[1]
     margin = _MARGIN if model.limit_compliance > 0.0 else _RIGID_MARGIN
     least = _NO_GRADIENT / model.length**2
     nf = model.free.shape[0]
     tets, order, moves, gradients, tet_slot = (
         model.tets, model.tet_order, model.tet_moves, model.gradients, model.tet_slot
     )  # fmt: skip
-    left, stretches, right, velocities, scratch = state.U, state.s, state.V, state.moving, state.D
+    left, stretches, right, velocities, scratch = (
+        state.principal.U,
+        state.principal.s,
+        state.principal.V,
+        state.moving,
+        state.principal.D,
+    )
     all_J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key
     row_side, constant, projection = state.row_side, state.constant, model.projection
     shares = state.compliance

@@ -21,7 +21,6 @@ that cannot miss one, λ_max(B) ≤ tr B/3 + √(2/3) |dev B|.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -43,11 +42,9 @@ from .lanes import (
     sum3,
     where,
 )  # fmt: skip
+from .model import Model, State
 from .polar import Matrix, Vector, load_matrix, polar
 from .work import LIMITS_SEEN
-
-if TYPE_CHECKING:
-    from .model import Model, State
 
 Symmetric = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]  # 00 11 22 12 02 01
 
@@ -186,11 +183,17 @@ def evaluate_tensor(F: Floats, factors: Floats, C: Floats, dC_dF: Floats) -> Non
 
 @kernel
 def find_near(model: Model, state: State) -> None:
-    """What may be at a limit at the state's positions or a step later, into state.near; its eigenpairs, state.eigen."""
+    """What may be at a limit at the state's positions or a step later, into state.tensor.near; its eigenpairs, state.tensor.eigen."""
     count = 0
     tets = model.tets.shape[0]
-    strains, factors, bounds, near, pairs = state.E, model.limit_factors, state.bound, state.near, state.eigen
-    scratch = state.stage
+    strains, factors, bounds, near, pairs = (
+        state.E,
+        model.limit_factors,
+        state.tensor.bound,
+        state.tensor.near,
+        state.tensor.eigen,
+    )
+    scratch = state.tensor.stage
     gathered = scratch.reshape((1, -1))
     for side in range(2):
         if factors[side, 6] + factors[side, 7] + factors[side, 8] == 0.0:  # no axis is limited on this side
@@ -211,7 +214,7 @@ def find_near(model: Model, state: State) -> None:
                 if 8 * b + l < tets:
                     near[count] = 2 * (8 * b + l) + side
                     count += 1
-    state.near_count[0] = count
+    state.tensor.near_count[0] = count
     for group in range((count + 7) // 8):
         _gather(near, 8 * group, count, strains, factors, scratch)
         values, u, v, w = eigen(load_symmetric(gathered, 0))
@@ -225,8 +228,8 @@ def find_near(model: Model, state: State) -> None:
 def greatest_strain(model: Model, state: State) -> float:
     """The largest strain/limit; 1 is exactly at the limit. Exact, also where nothing is near."""
     greatest = 0.0
-    pairs, strains, factors, bounds = state.eigen, state.E, model.limit_factors, state.bound
-    for group in range((state.near_count[0] + 7) // 8):
+    pairs, strains, factors, bounds = state.tensor.eigen, state.E, model.limit_factors, state.tensor.bound
+    for group in range((state.tensor.near_count[0] + 7) // 8):
         for a in range(3):
             for l in range(8):
                 greatest = max(greatest, pairs[group, a, l])
@@ -247,7 +250,7 @@ def greatest_strain(model: Model, state: State) -> float:
 def all_strains(model: Model, state: State) -> None:
     """strain/limit of every tetrahedron into state.strain_ratio (T,); other projections have it there already."""
     strains, factors, ratios = state.E, model.limit_factors, state.strain_ratio
-    if state.bound.shape[0] == 0:
+    if state.tensor.bound.shape[0] == 0:
         return
     ratios[:] = 0.0
     for side in range(2):
@@ -310,16 +313,16 @@ def _direction(eigen: Floats, group: int, a: int, c: int, sign: float) -> tuple[
 
 @stage
 def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
-    """Append a row for every eigenvalue in state.eigen that is near its limit, now or after h; return their number.
+    """Append a row for every eigenvalue in state.tensor.eigen that is near its limit, now or after h; return their number.
 
 
     Two eigenvalues that nearly coincide have two more between them: their eigenvectors may turn within the step.
     Writes what `limit_rows` does; a row's key is 2 · direction + side. -1: too many rows.
     """
-    count = state.near_count[0]
+    count = state.tensor.near_count[0]
     least = _NO_GRADIENT / model.length**2
     nf = model.free.shape[0]
-    stage, lane_J, pairs, near_list = state.stage, state.lane_J, state.eigen, state.near
+    stage, lane_J, pairs, near_list = state.tensor.stage, state.tensor.lane_J, state.tensor.eigen, state.tensor.near
     rotations, strains, gradients, factors = state.R, state.E, model.lane_gradients, model.limit_factors
     tets, tet_slot, velocities = model.tets, model.tet_slot, state.moving
     J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key

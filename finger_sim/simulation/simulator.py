@@ -19,14 +19,16 @@ from ..haptics.plane_motion import PlaneMotion
 from ..physics import step as stepping
 from ..physics.clock import STAGES
 from ..physics.compile import compiled_before
-from ..physics.model import build_model, build_state, plane_frame, with_live_values
+from ..physics.contact import plane_frame
 from ..physics.ready import advance, measure_strains, ready, refresh
 from ..physics.rotations import ZERO_NORM, matrix, normalised
 from ..physics.step import Status
 from ..physics.work import WORK
+from ..physics.workspace import build_state
 from ..scene import Pose, Scene, Solver, Vec3
 from ..scene.fields import specs
 from ..scene.mesh import TetMesh
+from .build import build_model, with_live_values
 
 Progress = Callable[[str], None]
 
