@@ -78,7 +78,7 @@ def splat8(x: float) -> Lanes:
 
 
 def sqrt(v: Lanes) -> Lanes:
-    """Square roots; of negative numbers NaN."""
+    """Square roots; of negative numbers NaN. Also of one number, as the next three."""
     return np.sqrt(v)
 
 
@@ -88,7 +88,7 @@ def absolute(v: Lanes) -> Lanes:
 
 
 def maximum(a: Lanes, b: Lanes) -> Lanes:
-    """The larger one, lane by lane; b where a is not a number."""
+    """The larger one, lane by lane; b, which may be one number for all, where a is not a number."""
     return np.where(a > b, a, b)
 
 

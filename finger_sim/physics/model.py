@@ -27,9 +27,10 @@ class Model(NamedTuple):
 
     n nodes, T tetrahedra, in B batches of 8 lanes (the last one filled up with tetrahedra of no volume); nf free nodes,
     "slots" 0 … nf − 1; slot nf stands for driven nodes and for none. Where the bone yields, slots nf + 1 and nf + 2 are
-    its own and the others those of its nodes (bone.py). Node pairs e of a tetrahedron: see blocks.PAIRS. A has `nf` diagonal
-    blocks and `na` below the diagonal: block k < nf is the diagonal one of slot k, block nf + p the p-th of the others;
-    with such a bone, then come its nodes' diagonal blocks. Blocks lie by columns, each padded to four numbers.
+    its own and the others those of its nodes (bone.py). Node pairs e of a tetrahedron: see blocks.PAIRS. A has `nf`
+    diagonal blocks and `na` below the diagonal: block k < nf is the diagonal one of slot k, block nf + p the p-th of
+    the others; with such a bone, then come its nodes' diagonal blocks. Blocks lie by columns, each padded to four
+    numbers.
     """
 
     tets: Ints  # (T, 4) nodes of each tetrahedron
@@ -159,7 +160,7 @@ class Tensor(NamedTuple):
     near: Ints  # (near,) 2 t + side of what may be at a limit: sides 0 stretch, 1 compression
     near_count: Ints  # (1,) how many they are
     eigen: Floats  # (near / 8, 12, 8) their eigenvalues and eigenvectors (by columns), lanes in the order of `near`
-    stage: Floats  # (32, 8) scratch: what is gathered for eight of them
+    gathered: Floats  # (32, 8) scratch: what eight of them are made of, side by side
     lane_J: Floats  # (8, 4, 4) scratch: a gradient of each of them
 
 

@@ -22,7 +22,8 @@ from __future__ import annotations
 import math
 
 from ..arrays import Floats
-from .bone import bone_residual, factor_bone, solve_all
+from .bone import bone_residual
+from .border import factor_bone, solve_all
 from .clock import FACTOR, SOLVE, lap, seconds
 from .compile import formula, stage
 from .elasticity import slot_velocities
@@ -53,28 +54,27 @@ def newton(
     The residual is the largest force missing at any node [N], relative to the largest row force.
     """
     began = seconds(state.time) if model.deadline > 0.0 else 0.0
+    own, lam, best = state.newton, state.lam, state.best
+    change, tried, direction, best_change = own.change, own.tried, own.direction, own.best_change
     if anew:
-        state.newton.factored_holds[0] = _OTHER_MATRIX
+        own.factored_holds[0] = _OTHER_MATRIX
     remainder(model, state)
-    change, tried, direction, best, best_change = (
-        state.newton.change, state.newton.tried, state.newton.direction, state.best, state.newton.best_change
-    )  # fmt: skip
-    lam = state.lam
     if rows == 0 and not model.has_bone:
-        copy(direction, state.newton.start_residual)
+        copy(direction, own.start_residual)
         lap(state.laps, state.time, SOLVE)
-        definite = state.newton.factored_holds[0] == 0 or refactor(model, state, h, 0, 0, 0)
+        definite = own.factored_holds[0] == 0 or factor_elastic(model, state)
         lap(state.laps, state.time, FACTOR)
         solve_all(model, state, direction)
         add_to_velocities(model, state, direction)
         return 0, 0.0, definite
     clear(change)
-    residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, change, True)
+    copy(own.next_residual, own.start_residual)
+    residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, change)
     if not missing < math.inf:
         return 0, residual, False
-    stale = holds != state.newton.factored_holds[0]
+    stale = holds != own.factored_holds[0]
     changed = False
-    copy_first(state.newton.factored, state.newton.stiffness, rows)
+    copy_first(own.factored, own.stiffness, rows)
     least, least_missing, iterations, stalled = residual, missing, 0, 0
     clear(best_change)
     copy_first(best, lam, rows)
@@ -92,8 +92,9 @@ def newton(
         part, low, high, low_ahead, high_ahead = 1.0, 0.0, 1.0, ascent, -ascent
         for trial in range(_TRIALS):
             add(tried, change, direction, part)
-            residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, tried, False)
-            ahead = inner(direction, state.newton.next_residual)
+            remainder_at(model, state, tried)
+            residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, tried)
+            ahead = inner(direction, own.next_residual)
             if (ahead >= -_SLACK * ascent and (ahead <= _SLACK * ascent or trial == 0)) or residual <= tolerance:
                 break
             if ahead > 0.0:
@@ -114,16 +115,16 @@ def newton(
         stale = residual > _SLOW * before
     copy_first(lam, best, rows)
     if model.has_bone:
-        bone_residual(model, state, h, best_change, state.newton.next_residual)
+        bone_residual(model, state, h, best_change, own.next_residual)
     add_to_velocities(model, state, best_change)
     return iterations, least, True
 
 
 @stage
 def newton_direction(model: Model, state: State, h: float, contacts: int) -> float:
-    """H⁻¹ r into state.newton.direction, friction's unsymmetric part included; returns dᵀr."""
-    direction, other, r, J = state.newton.direction, state.newton.tried, state.newton.next_residual, state.J
-    slip, stiffness, row_slot = state.newton.slip, state.newton.stiffness, state.row_slot
+    """H⁻¹ r into `direction`, friction's unsymmetric part included; returns dᵀr."""
+    own, J, row_slot = state.newton, state.J, state.row_slot
+    direction, other, r, slip, stiffness = own.direction, own.tried, own.next_residual, own.slip, own.stiffness
     copy(direction, r)
     solve_all(model, state, direction)
     ascent = inner(direction, r)
@@ -159,22 +160,54 @@ def remainder(model: Model, state: State) -> None:
 
 
 @stage
+def remainder_at(model: Model, state: State, change: Floats) -> None:
+    """b − A (v + δ) at δ = `change` into next_residual."""
+    r = state.newton.next_residual
+    copy(r, state.newton.start_residual)
+    subtract_product(model.free.shape[0], model.block_row, model.block_column, state.A, change, r)
+
+
+@stage
 def evaluate(
-    model: Model, state: State, h: float, contacts: int, rows: int, change: Floats, still: bool
+    model: Model, state: State, h: float, contacts: int, rows: int, change: Floats
 ) -> tuple[float, float, int, bool]:
-    """r at δ = `change` (`still`: 0) into state.newton.next_residual; row forces, their part of the Hessian, slip directions.
+    """Add the rows' forces at δ = `change` to next_residual, which holds b − A (v + δ); their part of the Hessian.
 
     Returns the residual; the largest force missing [N]; how many limits hold and contacts stick and slip, as one
     number; and whether these are other ones than in the factors at hand.
     """
-    r, J, lam, row_slot, scale = state.newton.next_residual, state.J, state.lam, state.row_slot, state.scale
-    constant, compliance, stiffness, factored, slip = (
-        state.constant, state.compliance, state.newton.stiffness, state.newton.factored, state.newton.slip
-    )  # fmt: skip
-    mu_friction, nf = model.mu_friction, model.free.shape[0]
-    copy(r, state.newton.start_residual)
-    if not still:
-        subtract_product(nf, model.block_row, model.block_column, state.A, change, r)
+    r, nf = state.newton.next_residual, model.free.shape[0]
+    pressed, touching, changed = contact_forces(model, state, h, contacts, change)
+    strongest, held, others = limit_forces(state, h, contacts, rows, change)
+    largest = max(pressed, strongest)
+    held += touching
+    changed |= others
+    store4(r, nf, 0, splat4(0.0))
+    if model.has_bone:
+        bone = bone_residual(model, state, h, change, r)
+        changed |= bone != state.yielding.holds[1]
+        state.yielding.holds[0] = bone
+        held += bone * _BONE
+    worst = total = 0.0
+    for k in range(r.shape[0]):
+        force = load4(r, k, 0)
+        size = sum3(force * force)
+        if k == nf + 2:
+            size /= model.bone_lever * model.bone_lever
+        worst = max(worst, size)
+        total += size
+    if not total < math.inf:  # max() passes over what is not a number
+        return math.inf, math.inf, held, changed
+    missing = math.sqrt(worst) / h
+    return missing / max(largest, model.least_force), missing, held, changed
+
+
+@stage
+def contact_forces(model: Model, state: State, h: float, contacts: int, change: Floats) -> tuple[float, int, bool]:
+    """The part of contacts in `evaluate`, with slip directions. (largest normal force, what holds, whether it did)."""
+    own, J, lam, row_slot = state.newton, state.J, state.lam, state.row_slot
+    r, stiffness, factored, slip = own.next_residual, own.stiffness, own.factored, own.slip
+    constant, compliance, mu_friction = state.constant, state.compliance, model.mu_friction
     largest, held, changed = 0.0, 0, False
     for c in range(contacts // 3):
         row = 3 * c
@@ -204,6 +237,16 @@ def evaluate(
             lam[row] = lam[row + 1] = lam[row + 2] = stiffness[row] = stiffness[row + 1] = 0.0
         stiffness[row + 2] = holds
         changed |= holds != factored[row + 2]
+    return largest, held, changed
+
+
+@stage
+def limit_forces(state: State, h: float, contacts: int, rows: int, change: Floats) -> tuple[float, int, bool]:
+    """The part of limits in `evaluate`. (largest nodal force, how many hold, whether others did)."""
+    own, J, lam, row_slot, scale = state.newton, state.J, state.lam, state.row_slot, state.scale
+    r, stiffness, factored = own.next_residual, own.stiffness, own.factored
+    constant, compliance = state.constant, state.compliance
+    largest, held, changed = 0.0, 0, False
     for row in range(contacts, rows):
         s0, s1, s2, s3 = row_slot[row, 0], row_slot[row, 1], row_slot[row, 2], row_slot[row, 3]
         j0, j1, j2, j3 = load4(J, row, 0), load4(J, row, 1), load4(J, row, 2), load4(J, row, 3)
@@ -222,34 +265,21 @@ def evaluate(
         else:
             lam[row] = stiffness[row] = 0.0
         changed |= (stiffness[row] > 0.0) != (factored[row] > 0.0)
-    store4(r, nf, 0, splat4(0.0))
-    if model.has_bone:
-        bone = bone_residual(model, state, h, change, r)
-        changed |= bone != state.yielding.holds[1]
-        state.yielding.holds[0] = bone
-        held += bone * _BONE
-    worst = total = 0.0
-    for k in range(r.shape[0]):
-        force = load4(r, k, 0)
-        size = sum3(force * force)
-        if k == nf + 2:
-            size /= model.bone_lever * model.bone_lever
-        worst = max(worst, size)
-        total += size
-    if not total < math.inf:  # max() passes over what is not a number
-        return math.inf, math.inf, held, changed
-    missing = math.sqrt(worst) / h
-    return missing / max(largest, model.least_force), missing, held, changed
+    return largest, held, changed
 
 
 @stage
-def refactor(model: Model, state: State, h: float, contacts: int, rows: int, holds: int) -> bool:
-    """Factors of H at the rows that hold now (state.newton.stiffness). False if H is not positive definite."""
-    nf, J, A, D, L = model.free.shape[0], state.J, state.A, state.L_diagonal, state.L_lower
-    block_place, tet_place, pair_row, pair_column = (
-        model.block_place, model.tet_place, model.pair_row, model.pair_column
-    )  # fmt: skip
-    stiffness, slip, row_slot, row_tet = state.newton.stiffness, state.newton.slip, state.row_slot, state.row_tet
+def factor_elastic(model: Model, state: State) -> bool:
+    """Factors of A alone. False if A is not positive definite."""
+    load_elastic(model, state)
+    state.newton.factored_holds[0] = 0
+    return factor(model.pattern, state.L_diagonal, state.L_lower, state.L_inverse)
+
+
+@stage
+def load_elastic(model: Model, state: State) -> None:
+    """A to where it is factored."""
+    nf, A, D, L, block_place = model.free.shape[0], state.A, state.L_diagonal, state.L_lower, model.block_place
     for k in range(nf):
         for j in range(3):
             store4(D, k, j, load4(A, k, j))
@@ -259,9 +289,20 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int, hol
     for p in range(block_place.shape[0]):
         for j in range(3):
             store4(L, block_place[p], j, load4(A, nf + p, j))
-    copy_first(state.newton.factored, stiffness, rows)
-    state.newton.factored_holds[0] = holds
     state.work[FACTORISATIONS] += 1
+
+
+@stage
+def refactor(model: Model, state: State, h: float, contacts: int, rows: int, holds: int) -> bool:
+    """Factors of H at the rows that hold now (`stiffness`). False if H is not positive definite."""
+    own, J, D, L, row_slot, row_tet = (
+        state.newton, state.J, state.L_diagonal, state.L_lower, state.row_slot, state.row_tet
+    )  # fmt: skip
+    tet_place, pair_row, pair_column = model.tet_place, model.pair_row, model.pair_column
+    stiffness, slip = own.stiffness, own.slip
+    load_elastic(model, state)
+    copy_first(own.factored, stiffness, rows)
+    own.factored_holds[0] = holds
     for c in range(contacts // 3):
         row = 3 * c
         if stiffness[row] > 0.0:

@@ -82,18 +82,11 @@ def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: in
     complementarity over its diagonal of W), as nodal force relative to the largest one. When the sweeps run out,
     the iterate with the least residual is kept. On return state.J holds h J.
     """
-    J, nodes, lam, best, u, diagonal = (
-        state.J,
-        state.pgs.row_local,
-        state.lam,
-        state.best,
-        state.pgs.u,
-        state.pgs.diagonal,
-    )
-    cross, has_column, compliance = state.pgs.cross, state.pgs.has_column, state.compliance
+    pgs, J, lam, best, compliance = state.pgs, state.J, state.lam, state.best, state.compliance
+    nodes, u, diagonal, cross, has_column = pgs.row_local, pgs.u, pgs.diagonal, pgs.cross, pgs.has_column
     size = 3 * count
-    S = state.pgs.S[: size * size].reshape((size, size))
-    Z = state.pgs.Z[: rows * size].reshape((rows, size))
+    S = pgs.S[: size * size].reshape((size, size))
+    Z = pgs.Z[: rows * size].reshape((rows, size))
     u[: size + 3] = 0.0
     for row in range(rows):
         for n in range(4):

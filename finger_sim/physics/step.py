@@ -17,7 +17,7 @@ from .linear_solver import solve
 from .locking import STRAINS
 from .methods import NEWTON, NONE, PGS, TENSOR
 from .model import Model, State
-from .newton import newton, refactor
+from .newton import factor_elastic, newton
 from .pgs import apply_rows, inverse_between, solve_rows, touched_nodes
 from .rows import finish_rows
 from .strain_limits import limit_rows, strain_ratio
@@ -92,16 +92,16 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
             wanted = max(wanted, 1)
     if wanted > 0:
         copy(state.v_start, state.v)
-    contacts, rows, definite = linear_step(model, state, h, 0, tolerance)
-    moved_on = False
-    for again in range(1, wanted + 1):
-        if definite and bounded(state.v, _FARTHEST * model.length / h):
-            moved_on = True
+    for again in range(wanted + 1):
+        if again > 0:
             relinearise(model, state, targets, h, again)
-            contacts, rows, definite = linear_step(model, state, h, again, tolerance)
-    if moved_on:
+        contacts, rows, definite = linear_step(model, state, h, again, tolerance)
+        well = definite and bounded(state.v, _FARTHEST * model.length / h)
+        if not well:
+            break
+    if again > 0:
         copy(state.x, state.x_start)
-    if not (definite and bounded(state.v, _FARTHEST * model.length / h)):
+    if not well:
         state.result[STATUS] = _REJECTED
         return
     fastest = integrate(model, state, targets, h)  # x += h v
@@ -132,7 +132,7 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
     if model.has_bone:
         aim_bone(model, state, h, again > 0)
     lap(state.laps, state.time, ASSEMBLY)
-    if model.method == PGS and not unconstrained(model, state, h):  # v_free = A⁻¹ b
+    if model.method == PGS and not unconstrained(model, state):  # v_free = A⁻¹ b
         return 0, 0, False
     since_linearised(state, again)
     contacts = contact_rows(model, state, h, again > 0) if model.has_plane else 0
@@ -206,9 +206,9 @@ def drive(model: Model, state: State, targets: Floats, h: float) -> bool:
 
 
 @stage
-def unconstrained(model: Model, state: State, h: float) -> bool:
+def unconstrained(model: Model, state: State) -> bool:
     """Velocities of the unconstrained step into state.v. False if A is not positive definite."""
-    definite = refactor(model, state, h, 0, 0, 0)
+    definite = factor_elastic(model, state)
     solve(model.pattern, state.L_lower, state.L_inverse, state.rhs)
     free, v, rhs = model.free, state.v, state.rhs
     for k in range(free.shape[0]):

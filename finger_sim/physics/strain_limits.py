@@ -43,6 +43,12 @@ _LEAST_REACH = 1e-9  # of |diag(s_min) V e_i| in a gradient
 _RATIO_ROOM = 1e-3  # strain/limit is counted in units of the room, but of no less than this
 
 
+Svd = tuple[Floats, Floats, Floats]
+"""U, s, V of one tetrahedron."""
+Row = tuple[int, int, float]
+"""Principal axis i, material axis j, side: +1 stretch, −1 compression."""
+
+
 class Limits(Protocol):
     """What `evaluate` asks of a scene's limits."""
 
@@ -84,7 +90,7 @@ def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floa
             room = room_of(projection, V, i, j, side, rooms)
             if np.isfinite(room):
                 p, q = np.empty(3), np.empty(3)
-                gradient(projection, U, s, V, i, j, side, rooms, gap, p, q)
+                gradient(projection, (U, s, V), (int(i), j, side), rooms, gap, p, q)
                 C.append(float(room - used(projection, s, V, i, j, side)))
                 gradients.append(np.outer(U[:, i], p) + np.outer(q, V[:, i]))
     return np.array(C), np.array(gradients).reshape(-1, 3, 3)
@@ -150,11 +156,10 @@ def _bound(side: float, room: float) -> float:
 
 
 @kernel
-def gradient(
-    projection: int, U: Floats, s: Floats, V: Floats, i: int, j: int, side: float, rooms: Floats, gap: float,
-    p: Floats, q: Floats,
-) -> None:  # fmt: skip
-    """∂C/∂F of row (i, j) as u_i pᵀ + q v_iᵀ; p, q (3,) out. By Eq. 13 through s_i, by Eq. 17-18 through V."""
+def gradient(projection: int, svd: Svd, row: Row, rooms: Floats, gap: float, p: Floats, q: Floats) -> None:
+    """∂C/∂F of a row as u_i pᵀ + q v_iᵀ; p, q (3,) out. By Eq. 13 through s_i, by Eq. 17-18 through V."""
+    U, s, V = svd
+    i, j, side = row
     along = -side
     if projection == HYPERBOLIC:
         along = -side * abs(V[j, i])
@@ -219,13 +224,8 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
     tets, order, moves, gradients, tet_slot = (
         model.tets, model.tet_order, model.tet_moves, model.gradients, model.tet_slot
     )  # fmt: skip
-    left, stretches, right, velocities, scratch = (
-        state.principal.U,
-        state.principal.s,
-        state.principal.V,
-        state.moving,
-        state.principal.D,
-    )
+    own, velocities = state.principal, state.moving
+    left, stretches, right, scratch = own.U, own.s, own.V, own.D
     all_J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key
     row_side, constant, projection = state.row_side, state.constant, model.projection
     shares = state.compliance
@@ -254,7 +254,7 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
                     reach = h * _strain_rate(tets[t], velocities, r, U, V, scratch)
                 if C - reach > near:
                     continue
-            gradient(projection, U, s, V, i, j, side, rooms, SOLVER_GAP, p, q)
+            gradient(projection, (U, s, V), (i, j, side), rooms, SOLVER_GAP, p, q)
             change = force = 0.0
             if rows >= row_tet.shape[0]:
                 return -1

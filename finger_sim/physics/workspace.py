@@ -222,6 +222,6 @@ def _tensor(size: _Sizes) -> Tensor:
         near=np.zeros(near, np.int64),
         near_count=np.zeros(1, np.int64),
         eigen=aligned(near // LANES, 12, LANES),
-        stage=aligned(32, LANES),
+        gathered=aligned(32, LANES),
         lane_J=aligned(LANES, 4, 4),
     )

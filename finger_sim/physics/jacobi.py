@@ -1,0 +1,118 @@
+r"""Jacobi's method: a symmetric matrix becomes diagonal by rotations that make one entry vanish at a time.
+
+In the plane of axes p and q the rotation by θ, tan 2θ = 2 B_pq / (B_qq − B_pp), |θ| ≤ π/4, makes B_pq vanish (Golub &
+Van Loan, *Matrix Computations*, ch. 8.5); axes keep their places. Sweeps over all planes converge quadratically.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..arrays import Floats
+from .compile import formula, kernel, stage
+from .lanes import BATCH, Lanes, absolute, bits, maximum, splat8, sqrt, where
+
+Symmetric = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]  # 00 11 22 12 02 01
+Vector = tuple[Lanes, Lanes, Lanes]
+
+_SWEEPS = 12  # 3 to 5 in practice
+_ROUND_OFF = 1e-31  # off-diagonal part squared, of the diagonal's, that ends them: entries of 3e-16 are round-off
+_LEAST = 5e-324  # the least number above 0: in place of 0 below a fraction whose numerator is 0 too
+_ORTHOGONAL = 1e-15  # cosine of the angle between two columns that counts as 0
+
+
+@formula
+def turn(pp: Lanes, qq: Lanes, pq: Lanes) -> tuple[Lanes, Lanes, Lanes]:
+    """tan θ, cos θ, sin θ of the rotation that makes entry pq vanish, of lanes or of one number."""
+    d, o = qq - pp, pq + pq
+    below = absolute(d) + sqrt(d * d + o * o)
+    t = where(d < 0.0, -o, o) / maximum(below, _LEAST)
+    c = 1.0 / sqrt(1.0 + t * t)
+    return t, c, t * c
+
+
+@formula
+def _turn3(
+    pp: Lanes, qq: Lanes, pq: Lanes, rp: Lanes, rq: Lanes, u: Vector, v: Vector
+) -> tuple[Lanes, Lanes, Lanes, Lanes, Vector, Vector]:
+    """A 3 × 3 matrix turned so that pq vanishes; u, v columns p and q of the eigenvectors."""
+    t, c, s = turn(pp, qq, pq)
+    u0, u1, u2 = u
+    v0, v1, v2 = v
+    return (
+        pp - t * pq, qq + t * pq, c * rp - s * rq, s * rp + c * rq,
+        (c * u0 - s * v0, c * u1 - s * v1, c * u2 - s * v2), (s * u0 + c * v0, s * u1 + c * v1, s * u2 + c * v2),
+    )  # fmt: skip
+
+
+@stage
+def eigen(B: Symmetric) -> tuple[Vector, Vector, Vector, Vector]:
+    """Eigenvalues of eight B, each with the axis its eigenvector is nearest to, and the unit eigenvectors, by columns.
+
+    Unrolled: what is in registers stays there.
+    """
+    b0, b1, b2, b3, b4, b5 = B
+    one, zero = splat8(1.0), splat8(0.0)
+    u, v, w = (one, zero, zero), (zero, one, zero), (zero, zero, one)
+    for _ in range(_SWEEPS):
+        off = b3 * b3 + b4 * b4 + b5 * b5
+        if bits(off > _ROUND_OFF * (b0 * b0 + b1 * b1 + b2 * b2)) == 0:
+            break
+        b0, b1, b4, b3, u, v = _turn3(b0, b1, b5, b4, b3, u, v)
+        b5 = zero
+        b0, b2, b5, b3, u, w = _turn3(b0, b2, b4, b5, b3, u, w)
+        b4 = zero
+        b1, b2, b5, b4, v, w = _turn3(b1, b2, b3, b5, b4, v, w)
+        b3 = zero
+    return (b0, b1, b2), u, v, w
+
+
+@stage
+def diagonalise(B: Floats, V: Floats) -> None:
+    """B (n, n), symmetric, becomes its eigenvalues on its diagonal; V (n, n) out: unit eigenvectors, by columns."""
+    size = B.shape[0]
+    for i in range(size):
+        for j in range(size):
+            V[i, j] = 1.0 if i == j else 0.0
+    for _ in range(_SWEEPS):
+        off = on = 0.0
+        for p in range(size):
+            on += B[p, p] * B[p, p]
+            for q in range(p + 1, size):
+                off += B[p, q] * B[p, q]
+        if not off > _ROUND_OFF * on:
+            break
+        for p in range(size):
+            for q in range(p + 1, size):
+                _, c, s = turn(B[p, p], B[q, q], B[p, q])
+                for i in range(size):
+                    B[i, p], B[i, q] = c * B[i, p] - s * B[i, q], s * B[i, p] + c * B[i, q]
+                    V[i, p], V[i, q] = c * V[i, p] - s * V[i, q], s * V[i, p] + c * V[i, q]
+                for i in range(size):
+                    B[p, i], B[q, i] = c * B[p, i] - s * B[q, i], s * B[p, i] + c * B[q, i]
+
+
+@kernel
+def turn_columns(b: Floats, c: Floats, v: Floats, w: Floats) -> int:
+    """Turn columns b, c of F V and v, w of V, (3, BATCH), so that b and c are orthogonal; how many lanes had to."""
+    turned = 0
+    for l in range(BATCH):
+        b0, b1, b2, c0, c1, c2 = b[0, l], b[1, l], b[2, l], c[0, l], c[1, l], c[2, l]
+        beta = b0 * b0 + b1 * b1 + b2 * b2
+        gamma = c0 * c0 + c1 * c1 + c2 * c2
+        dot = b0 * c0 + b1 * c1 + b2 * c2
+        askew = dot * dot > _ORTHOGONAL * _ORTHOGONAL * (beta * gamma)
+        zeta = (gamma - beta) / (2.0 * (dot if askew else 1.0))
+        tangent = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
+        tangent = tangent if askew else 0.0
+        cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
+        sine = cosine * tangent
+        b[0, l], c[0, l] = cosine * b0 - sine * c0, sine * b0 + cosine * c0
+        b[1, l], c[1, l] = cosine * b1 - sine * c1, sine * b1 + cosine * c1
+        b[2, l], c[2, l] = cosine * b2 - sine * c2, sine * b2 + cosine * c2
+        v0, v1, v2, w0, w1, w2 = v[0, l], v[1, l], v[2, l], w[0, l], w[1, l], w[2, l]
+        v[0, l], w[0, l] = cosine * v0 - sine * w0, sine * v0 + cosine * w0
+        v[1, l], w[1, l] = cosine * v1 - sine * w1, sine * v1 + cosine * w1
+        v[2, l], w[2, l] = cosine * v2 - sine * w2, sine * v2 + cosine * w2
+        turned += 1 if askew else 0
+    return turned
