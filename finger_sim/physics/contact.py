@@ -21,6 +21,8 @@ from .lanes import load4, sum3
 from .model import Model, State
 from .work import NODES_SEEN
 
+# A soft contact is at least so many times as stiff as its node's inertia: one step takes all but 1/31 of what a free
+# node would go too deep. More makes the rows of a step stiffer against each other, less lets a node sink in for longer.
 _INERTIA = 30.0
 _MARGIN = 0.03  # nodes nearer than this part of the tetrahedra's size get rows: they may be pushed in
 

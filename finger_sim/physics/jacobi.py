@@ -94,7 +94,12 @@ def diagonalise(B: Floats, V: Floats) -> None:
 
 @kernel
 def turn_columns(b: Floats, c: Floats, v: Floats, w: Floats) -> int:
-    """Turn columns b, c of F V and v, w of V, (3, BATCH), so that b and c are orthogonal; how many lanes had to."""
+    """One-sided: the rotation of `turn` for the matrix (F V)ᵀ F V, of which only columns are at hand.
+
+    Its tangent comes from ζ = 1 / tan 2θ and not from `turn`, which squares squared lengths once more: that would
+    overflow and underflow earlier, and give other last bits to every singular value.
+
+    Turn columns b, c of F V and v, w of V, (3, BATCH), so that b and c are orthogonal; how many lanes had to."""
     turned = 0
     for l in range(BATCH):
         b0, b1, b2, c0, c1, c2 = b[0, l], b[1, l], b[2, l], c[0, l], c[1, l], c[2, l]

@@ -4,6 +4,9 @@ A = L D Lᵀ with L unit lower triangular, in the order and the pattern that `el
 column numbers below are positions in that order ("slots"). The columns of a panel are finished one after the other,
 then everything they subtract from the columns of their rows is summed in registers, two rows by two columns of blocks
 at a time: each block is read and written once for a whole panel.
+
+There are three triangular solves because there are three layouts of right-hand sides: one vector of padded nodes
+(`solve`), eight lanes (`solve8`), and many that skip what is zero (`solve_many`). Each sums in the order that suits it.
 """
 
 from __future__ import annotations
@@ -11,18 +14,12 @@ from __future__ import annotations
 from typing import Any
 
 from ..arrays import Floats, Ints
-from .compile import formula, kernel
+from .compile import kernel
 from .lanes import Lanes, fill4, lane, load4, load8, splat4, store4, store8, sums3
 from .model import Pattern
 
 NODES_AT_ONCE = 16  # `solve_many` solves for the right-hand sides of so many nodes:
 SIDES_AT_ONCE = 3 * NODES_AT_ONCE  # a fixed, contiguous inner loop that vectorises
-
-
-Block = tuple[Lanes, Lanes, Lanes]
-"""A 3 × 3 block, by columns."""
-Entries = tuple[float, float, float, float, float, float]
-"""00 10 20 11 21 22 of a symmetric block."""
 
 
 @kernel
@@ -31,129 +28,114 @@ def factor(pattern: Pattern, diagonal: Floats, lower: Floats, inverse: Floats) -
 
     diagonal (nf, 3, 4), lower (nnz, 3, 4), inverse (nf, 3, 4): blocks by columns, each padded to four numbers.
     Uses pattern.work.
+
+    One function of many lines, and helpers of many parameters, on purpose: cut in two, with blocks handed over as
+    tuples, it gives other last bits, and with it every step.
     """
+    start, row, panel, target, work = pattern.start, pattern.row, pattern.panel, pattern.target, pattern.work
     update = 0
-    for s in range(pattern.panel.shape[0] - 1):
-        if not _finish_columns(pattern, s, diagonal, lower, inverse):
-            return False
-        update = _subtract_panel(pattern, s, update, diagonal, lower)
-    return True
+    for s in range(panel.shape[0] - 1):
+        # Row r of the panel (its own columns first) is block origin + r of column 0. One column on that is
+        # height - 2 blocks on, then height - 3, …: columns get shorter. Its L D is in work[r * width + column].
+        first, width = panel[s], panel[s + 1] - panel[s]
+        height = width + start[first + width] - start[first + width - 1]
+        origin = start[first] - 1
 
-
-@formula
-def _panel(pattern: Pattern, s: int) -> tuple[int, int, int, int]:
-    """First column, columns and rows of panel s, and the block before that of row 0 in column 0.
-
-    Row r of the panel (its own columns first) is block origin + r of column 0. One column on that is height - 2 blocks
-    on, then height - 3, …: columns get shorter. Its L D is in work[r * width + column].
-    """
-    start, first = pattern.start, pattern.panel[s]
-    width = pattern.panel[s + 1] - first
-    height = width + start[first + width] - start[first + width - 1]
-    return first, width, height, start[first] - 1
-
-
-@formula
-def _finish_columns(pattern: Pattern, s: int, diagonal: Floats, lower: Floats, inverse: Floats) -> bool:
-    """L D and L of the columns of panel s, of which everything before them is subtracted."""
-    start, work = pattern.start, pattern.work
-    first, width, height, origin = _panel(pattern, s)
-    for j in range(width):
-        k, q, base = first + j, j * width, start[first + j] - j - 1
-        a = _minus_products(_block(diagonal, k), lower, origin + j, height, work, q, j)
-        if not _invert(a, inverse, k):
-            return False
-        D = (
-            inverse[k, 0, 0], inverse[k, 0, 1], inverse[k, 0, 2], inverse[k, 1, 1], inverse[k, 1, 2], inverse[k, 2, 2]
-        )  # fmt: skip
-        for r in range(j + 1, height - 1, 2):
-            a, b = _block(lower, base + r), _block(lower, base + r + 1)
-            p = origin + r
-            for i in range(j):
-                a = _minus_product(a, lower, p, work, q + i)
-                b = _minus_product(b, lower, p + 1, work, q + i)
-                p += height - 2 - i
-            _finish(a, D, lower, base + r, work, r * width + j)
-            _finish(b, D, lower, base + r + 1, work, r * width + width + j)
-        if (height - j) % 2 == 0:
-            r = height - 1
-            a = _minus_products(_block(lower, base + r), lower, origin + r, height, work, q, j)
-            _finish(a, D, lower, base + r, work, r * width + j)
-    return True
-
-
-@formula
-def _subtract_panel(pattern: Pattern, s: int, update: int, diagonal: Floats, lower: Floats) -> int:
-    """Subtract the products of panel s from the columns of its rows; `update`: where in pattern.target it begins."""
-    row, target, work = pattern.row, pattern.target, pattern.work
-    first, width, height, origin = _panel(pattern, s)
-    slots = pattern.start[first + width - 1] - width  # row[slots + r] is the slot of row r
-    for t in range(width, height - 1, 2):
-        q0, q1 = t * width, t * width + width
-        t0, t1, t2 = row[slots + t], target[update], row[slots + t + 1]
-        update += 1
-        a, b, c = _block(diagonal, t0), _block(lower, t1), _block(diagonal, t2)
-        p = origin + t
         for j in range(width):
-            a = _minus_product(a, lower, p, work, q0 + j)
-            b = _minus_product(b, lower, p + 1, work, q0 + j)
-            c = _minus_product(c, lower, p + 1, work, q1 + j)
-            p += height - 2 - j
-        _store(diagonal, t0, a)
-        _store(lower, t1, b)
-        _store(diagonal, t2, c)
-        for r in range(t + 2, height - 1, 2):
-            t0, t1, t2, t3 = target[update], target[update + 1], target[update + 2], target[update + 3]
-            update += 4
-            a, b, c, d = _block(lower, t0), _block(lower, t1), _block(lower, t2), _block(lower, t3)
-            p = origin + r
+            k, q, base = first + j, j * width, start[first + j] - j - 1
+            a, b, c = _block(diagonal, k)
+            a, b, c = _minus_products(a, b, c, lower, origin + j, height, work, q, j)
+            if not _invert(a, b, c, inverse, k):
+                return False
+            i00, i10, i20 = inverse[k, 0, 0], inverse[k, 0, 1], inverse[k, 0, 2]
+            i11, i21, i22 = inverse[k, 1, 1], inverse[k, 1, 2], inverse[k, 2, 2]
+            for r in range(j + 1, height - 1, 2):
+                a, b, c = _block(lower, base + r)
+                d, e, f = _block(lower, base + r + 1)
+                p = origin + r
+                for i in range(j):
+                    a, b, c = _minus_product(a, b, c, lower, p, work, q + i)
+                    d, e, f = _minus_product(d, e, f, lower, p + 1, work, q + i)
+                    p += height - 2 - i
+                _finish(a, b, c, i00, i10, i20, i11, i21, i22, lower, base + r, work, r * width + j)
+                q1 = r * width + width + j
+                _finish(d, e, f, i00, i10, i20, i11, i21, i22, lower, base + r + 1, work, q1)
+            if (height - j) % 2 == 0:
+                r = height - 1
+                a, b, c = _block(lower, base + r)
+                a, b, c = _minus_products(a, b, c, lower, origin + r, height, work, q, j)
+                _finish(a, b, c, i00, i10, i20, i11, i21, i22, lower, base + r, work, r * width + j)
+
+        slots = start[first + width - 1] - width  # row[slots + r] is the slot of row r
+        for t in range(width, height - 1, 2):
+            q0, q1 = t * width, t * width + width
+            t0, t1, t2 = row[slots + t], target[update], row[slots + t + 1]
+            update += 1
+            a, b, c = _block(diagonal, t0)
+            d, e, f = _block(lower, t1)
+            g, h, i = _block(diagonal, t2)
+            p = origin + t
             for j in range(width):
-                a = _minus_product(a, lower, p, work, q0 + j)
-                b = _minus_product(b, lower, p, work, q1 + j)
-                c = _minus_product(c, lower, p + 1, work, q0 + j)
-                d = _minus_product(d, lower, p + 1, work, q1 + j)
+                a, b, c = _minus_product(a, b, c, lower, p, work, q0 + j)
+                d, e, f = _minus_product(d, e, f, lower, p + 1, work, q0 + j)
+                g, h, i = _minus_product(g, h, i, lower, p + 1, work, q1 + j)
                 p += height - 2 - j
-            _store(lower, t0, a)
-            _store(lower, t1, b)
-            _store(lower, t2, c)
-            _store(lower, t3, d)
-        if (height - t) % 2 == 1:
-            t0, t1 = target[update], target[update + 1]
-            update += 2
-            a, b = _block(lower, t0), _block(lower, t1)
-            p = origin + height - 1
-            for j in range(width):
-                a = _minus_product(a, lower, p, work, q0 + j)
-                b = _minus_product(b, lower, p, work, q1 + j)
-                p += height - 2 - j
-            _store(lower, t0, a)
-            _store(lower, t1, b)
-    if (height - width) % 2 == 1:
-        r = height - 1
-        a = _minus_products(
-            _block(diagonal, row[slots + r]), lower, origin + r, height, work, r * width, width
-        )  # fmt: skip
-        _store(diagonal, row[slots + r], a)
-    return update
+            _store(diagonal, t0, a, b, c)
+            _store(lower, t1, d, e, f)
+            _store(diagonal, t2, g, h, i)
+            for r in range(t + 2, height - 1, 2):
+                t0, t1, t2, t3 = target[update], target[update + 1], target[update + 2], target[update + 3]
+                update += 4
+                a, b, c = _block(lower, t0)
+                d, e, f = _block(lower, t1)
+                g, h, i = _block(lower, t2)
+                l, m, n = _block(lower, t3)
+                p = origin + r
+                for j in range(width):
+                    a, b, c = _minus_product(a, b, c, lower, p, work, q0 + j)
+                    d, e, f = _minus_product(d, e, f, lower, p, work, q1 + j)
+                    g, h, i = _minus_product(g, h, i, lower, p + 1, work, q0 + j)
+                    l, m, n = _minus_product(l, m, n, lower, p + 1, work, q1 + j)
+                    p += height - 2 - j
+                _store(lower, t0, a, b, c)
+                _store(lower, t1, d, e, f)
+                _store(lower, t2, g, h, i)
+                _store(lower, t3, l, m, n)
+            if (height - t) % 2 == 1:
+                t0, t1 = target[update], target[update + 1]
+                update += 2
+                a, b, c = _block(lower, t0)
+                d, e, f = _block(lower, t1)
+                p = origin + height - 1
+                for j in range(width):
+                    a, b, c = _minus_product(a, b, c, lower, p, work, q0 + j)
+                    d, e, f = _minus_product(d, e, f, lower, p, work, q1 + j)
+                    p += height - 2 - j
+                _store(lower, t0, a, b, c)
+                _store(lower, t1, d, e, f)
+        if (height - width) % 2 == 1:
+            r = height - 1
+            a, b, c = _block(diagonal, row[slots + r])
+            a, b, c = _minus_products(a, b, c, lower, origin + r, height, work, r * width, width)
+            _store(diagonal, row[slots + r], a, b, c)
+    return True
 
 
 @kernel
-def _block(A: Floats, p: int) -> Block:
+def _block(A: Floats, p: int) -> tuple[Lanes, Lanes, Lanes]:
     return load4(A, p, 0), load4(A, p, 1), load4(A, p, 2)
 
 
 @kernel
-def _store(A: Floats, p: int, block: Block) -> None:
-    a, b, c = block
+def _store(A: Floats, p: int, a: Lanes, b: Lanes, c: Lanes) -> None:
     store4(A, p, 0, a)
     store4(A, p, 1, b)
     store4(A, p, 2, c)
 
 
 @kernel
-def _minus_product(block: Block, L: Floats, p: int, W: Floats, q: int) -> Block:
-    """block − L[p] W[q]ᵀ."""
-    a, b, c = block
+def _minus_product(a: Lanes, b: Lanes, c: Lanes, L: Floats, p: int, W: Floats, q: int) -> tuple[Lanes, Lanes, Lanes]:
+    """The columns (a b c) − L[p] W[q]ᵀ."""
     x, y, z = load4(L, p, 0), load4(L, p, 1), load4(L, p, 2)
     return (
         a - x * fill4(W, q, 0) - y * fill4(W, q, 4) - z * fill4(W, q, 8),
@@ -163,18 +145,19 @@ def _minus_product(block: Block, L: Floats, p: int, W: Floats, q: int) -> Block:
 
 
 @kernel
-def _minus_products(block: Block, L: Floats, p: int, height: int, W: Floats, q: int, count: int) -> Block:
-    """The block minus the products of the first `count` columns of a panel; p, q: those of its column 0."""
+def _minus_products(
+    a: Lanes, b: Lanes, c: Lanes, L: Floats, p: int, height: int, W: Floats, q: int, count: int
+) -> tuple[Lanes, Lanes, Lanes]:
+    """(a b c) minus the products of the first `count` columns of a panel; p, q: those of its column 0."""
     for i in range(count):
-        block = _minus_product(block, L, p, W, q + i)
+        a, b, c = _minus_product(a, b, c, L, p, W, q + i)
         p += height - 2 - i
-    return block
+    return a, b, c
 
 
 @kernel
-def _invert(block: Block, inverse: Floats, k: int) -> bool:
-    """inverse[k] = block⁻¹, the block symmetric; False, and nothing done, if it is not positive definite."""
-    a, b, c = block
+def _invert(a: Lanes, b: Lanes, c: Lanes, inverse: Floats, k: int) -> bool:
+    """inverse[k] = (a b c)⁻¹ of a symmetric block; False, and nothing done, if it is not positive definite."""
     a00, a10, a20, a11, a21, a22 = lane(a, 0), lane(a, 1), lane(a, 2), lane(b, 1), lane(b, 2), lane(c, 2)
     if not a00 > 0.0:
         return False
@@ -196,13 +179,13 @@ def _invert(block: Block, inverse: Floats, k: int) -> bool:
 
 
 @kernel
-def _finish(block: Block, D: Entries, lower: Floats, p: int, work: Floats, q: int) -> None:
-    """work[q] = block, which is L D, and lower[p] = block · D⁻¹, D⁻¹ given."""
-    a, b, c = block
-    i00, i10, i20, i11, i21, i22 = D
-    _store(work, q, block)
-    x, y, z = a * i00 + b * i10 + c * i20, a * i10 + b * i11 + c * i21, a * i20 + b * i21 + c * i22
-    _store(lower, p, (x, y, z))
+def _finish(
+    a: Lanes, b: Lanes, c: Lanes, i00: float, i10: float, i20: float, i11: float, i21: float, i22: float,
+    lower: Floats, p: int, work: Floats, q: int,
+) -> None:  # fmt: skip
+    """work[q] = (a b c), which is L D, and lower[p] = (a b c) D⁻¹."""
+    _store(work, q, a, b, c)
+    _store(lower, p, a * i00 + b * i10 + c * i20, a * i10 + b * i11 + c * i21, a * i20 + b * i21 + c * i22)
 
 
 @kernel

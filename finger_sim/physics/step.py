@@ -11,20 +11,20 @@ from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
 from .elasticity import assemble
+from .hessian import factor_elastic
 from .kinematics import kinematics, turned_far
 from .lanes import load4, splat8, store4, store8, sum3
 from .linear_solver import solve
 from .locking import STRAINS
 from .methods import NEWTON, NONE, PGS, TENSOR
 from .model import Model, State
-from .newton import factor_elastic, newton
+from .newton import newton
 from .pgs import apply_rows, inverse_between, solve_rows, touched_nodes
 from .rows import finish_rows
 from .strain_limits import limit_rows, strain_ratio
 from .tensor_limit import DIRECTIONS, find_near, greatest_strain, tensor_rows
 from .vectors import add, copy
-from .work import CONTACTS as CONTACT_ROWS
-from .work import LIMITS, LINEAR
+from .work import CONTACT_ROWS, LIMITS, LINEAR
 
 
 class Status(enum.IntFlag):
@@ -64,8 +64,12 @@ _REJECTED = int(Status.NONFINITE | Status.STEP_REJECTED)
 _ROW_LIMIT, _ITERATION_LIMIT = int(Status.ROW_LIMIT), int(Status.ITERATION_LIMIT)
 _LOCKED, _INVERTED, _LIMIT_EXCEEDED = int(Status.LOCKED), int(Status.INVERTED), int(Status.LIMIT_EXCEEDED)
 _HELD = 0.02  # time that the driven nodes stay before a body settles [s]: commands come slower than steps
-_SLOW = 3e-3  # part of the tetrahedra's size that nodes of a body that settles move in a step, rms
-_SETTLED = 1e-5  # part of the tolerance that a step which does not move the driven nodes aims at (`newton`)
+# Part of the tetrahedra's size that the nodes of a body that settles move in a step, rms, at most. Linearised once
+# more, a step costs twice: not worth it while the body still moves by more than linearisation is good for.
+_SLOW = 3e-3
+# Part of the tolerance that a step of `newton` aims at while the driven nodes stay: what it leaves of the residual is
+# what keeps a body at rest moving. Less costs iterations in every held step, more lets it creep.
+_SETTLED = 1e-5
 _EXCEEDED = 1.5  # strain/limit from which on LIMIT_EXCEEDED is set
 
 

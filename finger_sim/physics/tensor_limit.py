@@ -49,7 +49,9 @@ from .work import LIMITS_SEEN
 
 NEAR = 0.85  # strain/limit from which on a row is formed, now or after a step at the velocities of now
 _WORTH = 0.5  # eigenvalues below are not looked at any closer
-_COINCIDE = 0.1  # strain/limit that two eigenvalues near their limit may differ by to be taken as one
+# Strain/limit that two eigenvalues near their limit may differ by to be taken as one. More makes rows that hold
+# nothing; less lets strain through where the eigenvectors turn by more in a step.
+_COINCIDE = 0.1
 # Directions of the rows: the eigenvectors, then those halfway between two of them, on either side.
 _FIRST, _SECOND = (0, 1, 2, 0, 0, 0, 0, 1, 1), (0, 1, 2, 1, 1, 2, 2, 2, 2)
 _SIGN = (1.0, 1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0)
