@@ -10,7 +10,7 @@ import math
 
 from ..arrays import Floats
 from .compile import formula, kernel, stage
-from .lanes import BATCH, Lanes, absolute, bits, maximum, splat8, sqrt, where
+from .lanes import BATCH, Lanes, absolute, bits, load8, maximum, splat8, sqrt, store8, where
 
 Symmetric = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]  # 00 11 22 12 02 01
 Vector = tuple[Lanes, Lanes, Lanes]
@@ -19,6 +19,21 @@ _SWEEPS = 12  # 3 to 5 in practice
 _ROUND_OFF = 1e-31  # off-diagonal part squared, of the diagonal's, that ends them: entries of 3e-16 are round-off
 _LEAST = 5e-324  # the least number above 0: in place of 0 below a fraction whose numerator is 0 too
 _ORTHOGONAL = 1e-15  # cosine of the angle between two columns that counts as 0
+
+
+@formula
+def load_symmetric(a: Floats, b: int) -> Symmetric:
+    """Eight symmetric matrices from entry b of a (…, 6, 8)."""
+    return load8(a, b, 0), load8(a, b, 1), load8(a, b, 2), load8(a, b, 3), load8(a, b, 4), load8(a, b, 5)
+
+
+@formula
+def store_vector(a: Floats, b: int, k: int, v: Vector) -> None:
+    """Write eight vectors to groups k, k + 1, k + 2 of entry b of a."""
+    v0, v1, v2 = v
+    store8(a, b, k, v0)
+    store8(a, b, k + 1, v1)
+    store8(a, b, k + 2, v2)
 
 
 @formula

@@ -74,7 +74,7 @@ def polar(F: Matrix, quaternion: Floats, b: int, scratch: Floats) -> tuple[Matri
     q = load8(quaternion, b, 0), load8(quaternion, b, 1), load8(quaternion, b, 2), load8(quaternion, b, 3)
     undone = 0
     for _ in range(_ITERATIONS):
-        q, lost, far = _newton(F, q)
+        q, lost, far = newton(F, q)
         undone = lost | far
         if far == 0:
             break
@@ -95,7 +95,7 @@ def polar(F: Matrix, quaternion: Floats, b: int, scratch: Floats) -> tuple[Matri
 
 
 @formula
-def _newton(F: Matrix, q: Quaternion) -> tuple[Quaternion, int, int]:
+def newton(F: Matrix, q: Quaternion) -> tuple[Quaternion, int, int]:
     """One iteration. Also which lanes have no maximum near (they stay), and which moved too far to be done."""
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = transposed_times(rotation(q), F)
     a0, a1, a2 = m7 - m5, m2 - m6, m3 - m1

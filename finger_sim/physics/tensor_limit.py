@@ -26,7 +26,7 @@ import numpy as np
 
 from ..arrays import Floats, Ints
 from .compile import formula, kernel, stage
-from .jacobi import Symmetric, Vector, eigen
+from .jacobi import Symmetric, Vector, eigen, load_symmetric, store_vector
 from .lanes import (
     Lanes,
     absolute,
@@ -112,12 +112,6 @@ def gradient(R: Matrix, E: Symmetric, y: Vector) -> Matrix:
 
 
 @formula
-def load_symmetric(a: Floats, b: int) -> Symmetric:
-    """Eight symmetric matrices from entry b of a (…, 6, 8)."""
-    return load8(a, b, 0), load8(a, b, 1), load8(a, b, 2), load8(a, b, 3), load8(a, b, 4), load8(a, b, 5)
-
-
-@formula
 def scaled(E: Symmetric, factors: Floats, side: int) -> Symmetric:
     """± A E A."""
     e0, e1, e2, e3, e4, e5 = E
@@ -172,10 +166,10 @@ def find_near(model: Model, state: State) -> None:
     for group in range((count + 7) // 8):
         _gather(near, 8 * group, count, strains, factors, gathered)
         values, u, v, w = eigen(load_symmetric(whole, 0))
-        _store_vector(pairs, group, 0, values)
-        _store_vector(pairs, group, 3, u)
-        _store_vector(pairs, group, 6, v)
-        _store_vector(pairs, group, 9, w)
+        store_vector(pairs, group, 0, values)
+        store_vector(pairs, group, 3, u)
+        store_vector(pairs, group, 6, v)
+        store_vector(pairs, group, 9, w)
 
 
 @stage
@@ -237,14 +231,6 @@ def _gather(near: Ints, first: int, count: int, E: Floats, factors: Floats, out:
         t, f = entry // 2, factors[entry % 2]
         for c in range(6):
             out[c, l] = E[t // 8, c, t % 8] * f[c]
-
-
-@formula
-def _store_vector(a: Floats, b: int, k: int, v: Vector) -> None:
-    v0, v1, v2 = v
-    store8(a, b, k, v0)
-    store8(a, b, k + 1, v1)
-    store8(a, b, k + 2, v2)
 
 
 @formula
