@@ -61,7 +61,10 @@ def bag_process(parent: int) -> int:
     """The process that writes the bags of a node."""
     for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            if int(_stat(process.name)[1]) == parent and b"bag_process" in (process / "cmdline").read_bytes():
+            if (
+                int(_stat(process.name)[1]) == parent
+                and b"finger_sim.bags.process" in (process / "cmdline").read_bytes()
+            ):
                 return int(process.name)
     raise SystemExit("the node has no process that writes bags")
 

@@ -40,7 +40,7 @@ def main() -> None:
                     f"{args.scene} at {args.rate:g} Hz, {scene.substeps} substeps, priority {outcome.priority}\n"
                     + " ".join(f"{name:>8}" for name in COLUMNS)
                 )
-            print(line(rows[-1]), flush=True)
+            print(line(rows[-1]), *outcome.failures, *outcome.losses, sep="   ", flush=True)
     print(f"{line(np.median(rows, axis=0))}   median")
 
 

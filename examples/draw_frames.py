@@ -15,9 +15,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 
 from finger_sim import Pose, Scene, Simulator, StepResult
-from finger_sim.bags.layout import WRENCH_FRAMES, express_wrench, place
+from finger_sim.bags.layout import WRENCH_FRAMES, express_wrench
 from finger_sim.physics.rotations import matrix
 from finger_sim.pictures.surfaces import new_figure, save
+from finger_sim.scene import place
 
 FLAT = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 """The pad over the table: the finger's x and y are the world's x and z, its z comes to the eye."""

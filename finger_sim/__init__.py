@@ -6,7 +6,8 @@ if TYPE_CHECKING:
     from .errors import BagError, FingerSimError, MeshError, MissingExtraError, SceneError
     from .physics.step import Status
     from .scene import Pose, Scene
-    from .simulation.simulator import Simulator, StepResult
+    from .simulation.result import StepResult
+    from .simulation.simulator import Simulator
 
 __all__ = [
     "BagError",
@@ -25,7 +26,7 @@ _HOME = {
     "Pose": "scene",
     "Scene": "scene",
     "Simulator": "simulation.simulator",
-    "StepResult": "simulation.simulator",
+    "StepResult": "simulation.result",
     "Status": "physics.step",
 }
 

@@ -1,37 +1,43 @@
-"""What all tests share."""
+"""What all tests share: which of them run in one process, and in which order."""
 
 from __future__ import annotations
 
-import re
-from functools import cache
 from pathlib import Path
 
 import pytest
-from xdist.scheduler import LoadScopeScheduling
 
-TALKS = re.compile(r"^from (ros_helpers|domains) import|^from finger_sim import .*\bdemo$", re.MULTILINE)
-"""In the text of a test file that talks over ROS."""
+ROOT = Path(__file__).parent
+WITHOUT_KERNELS = ("bags", "scene")
+"""Folders whose tests need no compiled kernels: they run while the first node compiles them."""
 
 
-class ByFile(LoadScopeScheduling):
-    """The tests of a file run in one process, so that what they share is made once.
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Groups of `--dist loadgroup`.
 
-    Those that talk over ROS all run in the same one: a node, its recorder and a client need a core to hear each other.
+    The tests of a file run in one process, so that what they share is made once. Those marked `ros` all run in the same
+    one, and begin first: a node, its recorder and a client need a core to hear each other, and take the longest.
     """
+    if not config.pluginmanager.hasplugin("xdist"):
+        return
 
-    def _split_scope(self, nodeid: str) -> str:
-        file = nodeid.split("::")[0]
-        return "ros" if talks(file) else file
+    unmarked = {str(item.path) for item in items if starts_nodes(item) and not item.get_closest_marker("ros")}
+    if unmarked:
+        raise pytest.UsageError(
+            f"needs `pytestmark = pytest.mark.ros`, as it starts nodes: {', '.join(sorted(unmarked))}"
+        )
+
+    def place(item: pytest.Item) -> tuple[bool, bool]:
+        return item.get_closest_marker("ros") is None, item.path.relative_to(ROOT).parts[0] not in WITHOUT_KERNELS
+
+    items.sort(key=place)
+    for item in items:
+        group = "ros" if item.get_closest_marker("ros") else item.path.stem.removeprefix("test_")
+        item.add_marker(pytest.mark.xdist_group(group))
 
 
-@cache
-def talks(file: str) -> bool:
-    """Whether the tests of a file of this folder talk over ROS."""
-    return TALKS.search((Path(__file__).parents[1] / file).read_text()) is not None
-
-
-def pytest_xdist_make_scheduler(config, log):
-    return ByFile(config, log)
+def starts_nodes(item: pytest.Item) -> bool:
+    return hasattr(getattr(item, "module", None), "NodeProcess")
 
 
 @pytest.fixture(autouse=True)

@@ -213,15 +213,15 @@ class Client:
 
 
 def bag_process(parent: int) -> int:
-    """The process that writes bags for `parent`."""
-    (found,) = (
-        int(process.name)
+    """The process that writes bags for `parent`: the youngest, as one that was ended may still be finishing its bag."""
+    found = {
+        int(status[19]): int(process.name)
         for process in Path("/proc").glob("[0-9]*")
-        if (status := _read(process / "stat"))
-        and int(status.rpartition(b")")[2].split()[1]) == parent
-        and b"bag_process" in _read(process / "cmdline")
-    )
-    return found
+        if (status := _read(process / "stat").rpartition(b")")[2].split())
+        and int(status[1]) == parent
+        and b"finger_sim.bags" in _read(process / "cmdline")
+    }
+    return found[max(found)]
 
 
 def _read(path: Path) -> bytes:

@@ -11,20 +11,18 @@ import dataclasses
 import heapq
 import math
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 from rich.table import Table
 
-from ..arrays import Floats
 from ..console import table
 from ..errors import BagError
 from ..plain import plain
 from . import cdr
-from .layout import POINT_DTYPE, POINT_NAMES
+from .quantities import KINDS, TURN, Kind, Value, apart_by, largest_of
 from .reader import BagReader, Message, Topic, absolute
 
 
@@ -165,61 +163,14 @@ def _first_command(reader: BagReader) -> int | None:
     return next((message.log_time for message in reader.messages(names)), None)
 
 
-class _Value(NamedTuple):
-    """The numbers of one message, by quantity, each (n, d)."""
-
-    frame: str
-    parts: tuple[Floats, ...]
-
-
-class _Kind(NamedTuple):
-    """Quantities in a type of message, with their units, and how to get at them."""
-
-    quantities: tuple[tuple[str, str], ...]
-    value: Callable[[Any], _Value]
-
-
-def _wrench(message: Any) -> _Value:
-    f, t = message.wrench.force, message.wrench.torque
-    return _Value(message.header.frame_id, (np.array([[f.x, f.y, f.z]]), np.array([[t.x, t.y, t.z]])))
-
-
-def _pose(message: Any) -> _Value:
-    p, q = message.pose.position, message.pose.orientation
-    return _Value(message.header.frame_id, (np.array([[p.x, p.y, p.z]]), np.array([[q.x, q.y, q.z, q.w]])))
-
-
-def _cloud(message: Any) -> _Value:
-    names = [field.name for field in message.fields]
-    if names != list(POINT_NAMES) or message.point_step != POINT_DTYPE.itemsize:
-        raise BagError(f"point fields {', '.join(names)} cannot be compared, allowed: {', '.join(POINT_NAMES)}")
-    points = message.data.view("<f4").reshape(-1, len(POINT_NAMES)).astype(np.float64)
-    return _Value(message.header.frame_id, (points[:, 0:3], points[:, 3:6], points[:, 6:9], points[:, 9:]))
-
-
-def _mesh(message: Any) -> _Value:
-    vertices = np.array([[v.x, v.y, v.z] for v in message.vertices]).reshape(-1, 3)
-    triangles = np.array([t.vertex_indices for t in message.triangles], dtype=np.float64).reshape(-1, 3)
-    return _Value("", (vertices, triangles))
-
-
-_TURN = ("orientation", "rad")
-_KINDS = {
-    cdr.WRENCH_STAMPED: _Kind((("force", "N"), ("torque", "N·m")), _wrench),
-    cdr.POSE_STAMPED: _Kind((("position", "m"), _TURN), _pose),
-    cdr.POINT_CLOUD: _Kind((("points", "m"), ("displacement", "m"), ("force", "N"), ("strain/limit", "1")), _cloud),
-    cdr.MESH: _Kind((("vertices", "m"), ("triangles", "1")), _mesh),
-}
-
-
 class _Moment:
     """A message at a time, its numbers decoded when they are first asked for."""
 
     def __init__(self, path: Path, time: int, number: int, message: Message) -> None:
         self.path, self.time, self.number, self.message = path, time, number, message
-        self._value: _Value | None = None
+        self._value: Value | None = None
 
-    def value(self, kind: _Kind) -> _Value:
+    def value(self, kind: Kind) -> Value:
         """Its numbers. Raises BagError when its bytes are not what its type says."""
         if self._value is None:
             where = f"{self.path}: topic {self.message.topic}, message {self.number}"
@@ -236,7 +187,7 @@ class _Pair:
     def __init__(self, out: TopicComparison, paths: tuple[Path, Path], tolerance: float | None) -> None:
         self.out, self.tolerance = out, tolerance
         self._paths = paths
-        self._kind = _KINDS.get(out.type)
+        self._kind = KINDS.get(out.type)
         out.differences = [Difference(*quantity) for quantity in self._kind.quantities] if self._kind else []
         self._squares = [0.0] * len(out.differences)
         self._rows = [0] * len(out.differences)
@@ -319,12 +270,12 @@ class _Pair:
         low = one if same else before.value(kind)
         high = after.value(kind) if share > 0.0 else low
         for i, difference in enumerate(self.out.differences):
-            turn = kind.quantities[i] == _TURN
-            difference.peak = max(difference.peak, _largest(one.parts[i], turn))
+            turn = kind.quantities[i] == TURN
+            difference.peak = max(difference.peak, largest_of(one.parts[i], turn))
             self._rows[i] += len(one.parts[i])
             if same:
                 continue
-            apart = _apart_by(one, low, high, share, i, turn)
+            apart = apart_by(one, low, high, share, i, turn)
             largest = float(apart.max(initial=0.0))
             self._squares[i] += float(apart @ apart)
             if largest > difference.max:
@@ -338,31 +289,6 @@ _WORDS = {"data": "bytes", "log_time": "log time", "publish_time": "publish time
 
 def _when(moment: _Moment, what: str) -> str:
     return f"{what} at {1e-9 * moment.time:.6f} s (message {moment.number})"
-
-
-def _apart_by(one: _Value, low: _Value, high: _Value, share: float, i: int, turn: bool) -> Floats:
-    """(n,) distances of part i of `one` from what lies between `low` and `high`; inf where there is none."""
-    a, b, c = one.parts[i], low.parts[i], high.parts[i]
-    if not (a.shape == b.shape == c.shape and one.frame == low.frame == high.frame):
-        return np.full(max(len(a), 1), np.inf)
-    if turn:
-        a, b, c = (q / np.linalg.norm(q, axis=1, keepdims=True) for q in (a, b, c))
-        c = np.where((b * c).sum(axis=1, keepdims=True) < 0.0, -c, c)
-    between = (1.0 - share) * b + share * c if share > 0.0 else b
-    if turn:
-        chord = np.minimum(np.linalg.norm(a - between, axis=1), np.linalg.norm(a + between, axis=1))
-        apart = 4.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
-    else:
-        apart = np.linalg.norm(a - between, axis=1)
-    return np.where(np.isnan(apart), np.inf, apart)
-
-
-def _largest(part: Floats, turn: bool) -> float:
-    """Length of the longest row; of a turn its angle from the identity [rad]."""
-    if turn:
-        vector, scalar = np.linalg.norm(part[:, :3], axis=1), np.abs(part[:, 3])
-        return float(2.0 * np.arctan2(vector, scalar).max(initial=0.0))
-    return float(np.linalg.norm(part, axis=1).max(initial=0.0))
 
 
 def verdict(found: Comparison) -> tuple[Table, str]:

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..errors import BagError
-from .reader import LONGEST, START, absolute, write_commands
+from ..errors import BagError, SceneError
+from ..scene import Pose, checked_pose
+from .reader import LONGEST_SPAN_SECONDS, START, absolute, write_commands
 
 COLUMNS = {"t": "s", "x": "m", "y": "m", "z": "m", "qx": "1", "qy": "1", "qz": "1", "qw": "1"}
 """Columns of a CSV of poses and their units."""
@@ -86,10 +86,11 @@ def import_csv(
         columns[name] = [v + (offset or {}).get(name, 0.0) for v in columns[name]]
     position = np.array([columns[name] for name in ("x", "y", "z")]).T
     orientation = np.array([columns[name] for name in ("qx", "qy", "qz", "qw")]).T
-    norm: NDArray[np.float64] = np.linalg.norm(orientation, axis=1)
-    if (norm < 1e-6).any():
-        line = table.lines[int(np.argmin(norm))]
-        raise BagError(f"{source}:{line}: columns qx qy qz qw: got a zero quaternion, allowed: any other")
+    for line, (x, y, z), (qx, qy, qz, qw) in zip(table.lines, position.tolist(), orientation.tolist(), strict=True):
+        try:
+            checked_pose(Pose((x, y, z), (qx, qy, qz, qw)))
+        except SceneError as error:
+            raise BagError(f"{source}:{line}: {error}") from None
     times = [START + round(t * 1e9) for t in table.time]
     path = write_commands(Path(out), times, position, orientation, topic=topic, frame_id=frame_id)
     steps = np.array([(b - a) * 1e-9 for a, b in pairwise(times)])
@@ -160,7 +161,7 @@ def _read_table(source: Path, where: Mapping[str, str], concatenate: str | None)
             advice = _repeat_advice(header, previous_cells, cells)
             found = f"{source}:{line}: column t: got {t:g} s after {previous:g} s"
             raise BagError(f"{found}, allowed: times that never fall{advice}")
-        if t + shift > LONGEST:
+        if t + shift > LONGEST_SPAN_SECONDS:
             raise BagError(f"{source}:{line}: column t: got {t:g}, {t + shift:g} s after the first; t is in seconds")
         previous, previous_cells = t, cells
         table.lines.append(line)

@@ -5,13 +5,13 @@ Pure NumPy, no ROS: the node and the replay share these layouts, so both write t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..physics.rotations import matrix, normalised
+from ..scene import Pose
 
 FLOAT = np.dtype("<f4")
 """Type of every point field: FLOAT32, little endian (PointCloud2 `is_bigendian` = False)."""
@@ -29,27 +29,6 @@ FLOAT32 = 7
 
 WrenchFrame = Literal["world_aligned", "finger", "world"]
 WRENCH_FRAMES: tuple[WrenchFrame, ...] = get_args(WrenchFrame)
-
-
-class HasPose(Protocol):
-    """Anything with a `position` (3,) [m] and an `orientation` (4,) xyzw: the finger frame in the world."""
-
-    @property
-    def position(self) -> Sequence[float] | NDArray[np.float64]: ...
-
-    @property
-    def orientation(self) -> Sequence[float] | NDArray[np.float64]: ...
-
-
-def rotation_matrix(orientation: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation matrix R (3, 3) of a quaternion xyzw of any non-zero length; q and −q give the same R."""
-    x, y, z, w = (float(v) for v in orientation)
-    return matrix(normalised((x, y, z, w)))
-
-
-def place(rest: NDArray[np.float64], pose: HasPose) -> NDArray[np.float64]:
-    """Rest nodes X (n, 3) [m] moved rigidly with the finger frame: R X + p, (n, 3) [m], world axes."""
-    return rest @ rotation_matrix(pose.orientation).T + np.asarray(pose.position, dtype=np.float64)
 
 
 def node_strain(strain_ratio: NDArray[np.float64], tets: NDArray[np.integer[Any]], nodes: int) -> NDArray[np.float64]:
@@ -84,7 +63,7 @@ def pack_points(
     return points
 
 
-def express_wrench(wrench: ArrayLike, pose: HasPose, frame: WrenchFrame) -> NDArray[np.float64]:
+def express_wrench(wrench: ArrayLike, pose: Pose, frame: WrenchFrame) -> NDArray[np.float64]:
     """The same wrench (6,) [N, N·m] in the axes and about the point that `frame` names.
 
     wrench : force and torque of the plane on the finger, world axes, torque about the finger frame's origin
@@ -98,7 +77,7 @@ def express_wrench(wrench: ArrayLike, pose: HasPose, frame: WrenchFrame) -> NDAr
     if frame == "world_aligned":
         return w
     if frame == "finger":
-        R = rotation_matrix(pose.orientation)
+        R = matrix(normalised(pose.orientation))
         return np.concatenate([R.T @ w[:3], R.T @ w[3:]])
     if frame == "world":
         w[3:] += np.cross(np.asarray(pose.position, dtype=np.float64), w[:3])

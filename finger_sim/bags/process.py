@@ -22,8 +22,9 @@ from collections.abc import Callable
 from typing import Any, TypedDict
 
 from ..errors import BagError
+from .metadata import Qos
 from .ring import Ring
-from .writer import BagWriter, Qos
+from .writer import BagWriter
 
 TAKE_PERIOD = 0.01
 """Time between two looks at the ring during a recording [s]."""
@@ -85,6 +86,7 @@ class Scribe:
             if bag is not None:
                 bag.abort()
                 reason = reason if isinstance(error, BagError) else f"{bag.path}: {reason}"
+                reason += "; what was recorded before stays readable"
             self._answer({"error": reason})
 
     def _begin(self, order: Order) -> None:

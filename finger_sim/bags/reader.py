@@ -6,7 +6,6 @@ it. Times are integer nanoseconds: `log_time` is when a message was received, `p
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,10 +15,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import BagError
+from ..errors import BagError, SceneError
+from ..scene import Pose, checked_pose
 from . import cdr
-from .sources import Message, Topic, open_source
-from .writer import FLUSH_PERIOD, BagWriter, Compression, Qos, absolute, require_absent
+from .interrupts import deferred
+from .message import Message, Topic
+from .metadata import Qos
+from .sources import open_source
+from .writer import FLUSH_PERIOD, BagWriter, Compression, absolute, require_absent
 
 __all__ = [
     "FLUSH_PERIOD",
@@ -42,8 +45,8 @@ __all__ = [
 START = 1_767_225_600_000_000_000
 """When bags that saw no clock begin [ns]: 2026-01-01 00:00 UTC, the same every time."""
 
-LONGEST = 1e6
-"""Longest time between commands that is believed [s]: more comes of a broken or mixed-up clock."""
+LONGEST_SPAN_SECONDS = 1e6
+"""Longest time between two commands of a bag that is believed: more comes of a broken or mixed-up clock."""
 
 
 def write_commands(
@@ -59,12 +62,19 @@ def write_commands(
     """Makes a bag of commanded poses (n, 3) [m] and (n, 4) xyzw, received and stamped at `times` [ns].
 
     custom_data : words for the bag's metadata
-    Raises BagError as BagWriter does.
+    Raises BagError as BagWriter does; whatever ends it before its end leaves no bag.
     """
-    with BagWriter(path, custom_data=custom_data) as bag:
-        bag.add_topic(topic, cdr.POSE_STAMPED)
-        for time, p, q in zip(times, position, orientation, strict=True):
-            bag.write(topic, cdr.pose_stamped(time, frame_id, p, q), time)
+    with deferred() as interrupt:
+        bag = BagWriter(path, custom_data=custom_data)
+        try:
+            bag.add_topic(topic, cdr.POSE_STAMPED)
+            for time, p, q in zip(times, position, orientation, strict=True):
+                bag.write(topic, cdr.pose_stamped(time, frame_id, p, q), time)
+                interrupt()
+            bag.close()
+        except BaseException:
+            bag.discard()
+            raise
     return path
 
 
@@ -83,6 +93,8 @@ class BagReader:
         self.end_time = self._source.end
         self.warning = self._source.warning
         self.truncated = self.warning is not None
+        self.cut = self._source.cut
+        """Why its writer ended it early, where it said so; all of such a bag can be read."""
 
     @property
     def duration(self) -> float:
@@ -112,8 +124,8 @@ class Commands:
     """The commanded poses of a bag, in the order of their receipt.
 
     Repeated stamps, gaps and sign flips of quaternions (q and −q are one rotation) are kept as recorded.
-    A non-finite pose, a zero quaternion or a frame other than `frame_id` is left out and counted
-    in `refused`: the last good command holds.
+    A pose that `checked_pose` refuses, as the node does, or one in another frame than `frame_id` is left out and
+    counted in `refused`: the last good command holds.
     """
 
     topic: str
@@ -159,7 +171,7 @@ def read_commands(path: str | Path, topic: str | None = None) -> Commands:
 
 def commands_of(reader: BagReader, topic: str | None = None) -> Commands:
     """As `read_commands`, of a bag that is already open."""
-    chosen = _command_topic(reader, topic)
+    chosen = command_topic(reader, topic)
     rows = _read_poses(reader, chosen)
     if not rows:
         raise BagError(f"{reader.path}: topic {chosen} has no message")
@@ -168,8 +180,9 @@ def commands_of(reader: BagReader, topic: str | None = None) -> Commands:
     if not good:
         raise BagError(f"{reader.path}: topic {chosen} has no good command; {refusals[0]}")
     start, first_stamp = good[0].log_time, good[0].stamp
-    if (span := (good[-1].log_time - start) * 1e-9) > LONGEST:
-        raise BagError(f"{reader.path}: topic {chosen}: log times span {span:.3g} s, allowed: {LONGEST:g} s")
+    if (span := (good[-1].log_time - start) * 1e-9) > LONGEST_SPAN_SECONDS:
+        allowed = f"allowed: {LONGEST_SPAN_SECONDS:g} s"
+        raise BagError(f"{reader.path}: topic {chosen}: log times span {span:.3g} s, {allowed}")
     position, orientation = _arrays(good)
     return Commands(
         topic=chosen,
@@ -208,70 +221,71 @@ def plane_poses_of(reader: BagReader, commands: Commands, topic: str | None = No
     topic : of type PoseStamped; if left out `plane_pose` beside the commands, else in the only namespace it is in
     Raises BagError when there is no such topic, more than one, or another type.
     """
-    chosen = _plane_topic(reader, commands.topic, topic)
+    chosen = plane_topic(reader, commands.topic, topic)
     if chosen is None:
         return None
     good, refusals = _good_ones(_read_poses(reader, chosen), commands.frame_id)
     position, orientation = _arrays(good)
     farthest = max((abs(row.log_time - commands.start) for row in good), default=0) * 1e-9
-    if farthest > LONGEST:
-        far = f"{farthest:.3g} s away from the first command, allowed: {LONGEST:g} s"
+    if farthest > LONGEST_SPAN_SECONDS:
+        far = f"{farthest:.3g} s away from the first command, allowed: {LONGEST_SPAN_SECONDS:g} s"
         raise BagError(f"{reader.path}: topic {chosen}: a log time is {far}")
     receipt = np.array([row.log_time - commands.start for row in good], dtype=np.int64)
     return PlanePoses(chosen, receipt, position, orientation, len(refusals))
 
 
-class _Row(NamedTuple):
-    """One recorded pose: times [ns], position [m] and quaternion xyzw."""
+class PoseRow(NamedTuple):
+    """One recorded pose; times [ns]."""
 
     log_time: int
     stamp: int
     frame_id: str
-    values: list[float]
+    pose: Pose
+    """As it was sent."""
 
-
-def _read_poses(reader: BagReader, topic: str) -> list[_Row]:
-    """All messages of a topic; BagError for one that is no pose."""
-    rows = []
-    for number, message in enumerate(reader.messages([topic]), start=1):
-        if message.type != cdr.POSE_STAMPED:
-            raise BagError(f"{reader.path}: topic {topic}, message {number}: is {message.type}")
+    def judged(self, frame_id: str) -> Pose | str:
+        """Its pose, at length one; or why it is refused where poses are in `frame_id`."""
+        if self.frame_id != frame_id:
+            return f"frame_id {self.frame_id!r}, not {frame_id!r}"
         try:
-            pose = cdr.deserialize(message.data, cdr.POSE_STAMPED)
-        except ValueError as error:
-            raise BagError(f"{reader.path}: topic {topic}, message {number}: {error}") from None
-        p, q, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
-        values = [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
-        rows.append(_Row(message.log_time, stamp.sec * 1_000_000_000 + stamp.nanosec, pose.header.frame_id, values))
-    return rows
+            return checked_pose(self.pose)
+        except SceneError as error:
+            return str(error)
 
 
-def _good_ones(rows: Sequence[_Row], frame_id: str) -> tuple[list[_Row], list[str]]:
-    """Those to be used, and why the others are not."""
-    reasons = [_refusal(row.frame_id, row.values, frame_id) for row in rows]
-    good = [row for row, reason in zip(rows, reasons, strict=True) if reason is None]
-    return good, [f"message {i}: {reason}" for i, reason in enumerate(reasons, start=1) if reason]
+def pose_row(reader: BagReader, message: Message, number: int) -> PoseRow:
+    """The pose in a message, the one of that `number` on its topic; BagError if it is no pose."""
+    where = f"{reader.path}: topic {absolute(message.topic)}, message {number}"
+    if message.type != cdr.POSE_STAMPED:
+        raise BagError(f"{where}: is {message.type}")
+    try:
+        pose = cdr.deserialize(message.data, cdr.POSE_STAMPED)
+    except ValueError as error:
+        raise BagError(f"{where}: {error}") from None
+    p, q, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
+    sent = Pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+    return PoseRow(message.log_time, stamp.sec * 1_000_000_000 + stamp.nanosec, pose.header.frame_id, sent)
 
 
-def _arrays(rows: Sequence[_Row]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _read_poses(reader: BagReader, topic: str) -> list[PoseRow]:
+    """All messages of a topic; BagError for one that is no pose."""
+    return [pose_row(reader, message, number) for number, message in enumerate(reader.messages([topic]), start=1)]
+
+
+def _good_ones(rows: Sequence[PoseRow], frame_id: str) -> tuple[list[PoseRow], list[str]]:
+    """Those to be used, their poses at length one, and why the others are not."""
+    judged = [row.judged(frame_id) for row in rows]
+    good = [row._replace(pose=pose) for row, pose in zip(rows, judged, strict=True) if isinstance(pose, Pose)]
+    return good, [f"message {i}: {reason}" for i, reason in enumerate(judged, start=1) if isinstance(reason, str)]
+
+
+def _arrays(good: Sequence[PoseRow]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions (n, 3) and unit quaternions (n, 4)."""
-    values = np.array([row.values for row in rows]).reshape(-1, 7)
-    norms = np.array([math.hypot(*row.values[3:]) for row in rows]).reshape(-1, 1)  # to the last bit as the node's
-    return values[:, :3], values[:, 3:] / norms
+    position = np.array([each.pose.position for each in good]).reshape(-1, 3)
+    return position, np.array([each.pose.orientation for each in good]).reshape(-1, 4)
 
 
-def _refusal(frame: str, values: list[float], frame_id: str) -> str | None:
-    """Why a command must not be used, or None."""
-    if frame != frame_id:
-        return f"frame_id {frame!r}, not {frame_id!r}"
-    if not np.isfinite(values).all():
-        return f"not finite: {values}"
-    if np.linalg.norm(values[3:]) < 1e-6:
-        return f"orientation {values[3:]} is a zero quaternion"
-    return None
-
-
-def _command_topic(reader: BagReader, topic: str | None) -> str:
+def command_topic(reader: BagReader, topic: str | None) -> str:
     """Name of the topic with the commands."""
     if topic is not None:
         return _named_topic(reader, topic)
@@ -289,7 +303,7 @@ def _command_topic(reader: BagReader, topic: str | None) -> str:
     raise BagError(f"{reader.path}: several topics of poses: {several}; choose one with --topic")
 
 
-def _plane_topic(reader: BagReader, commands: str, topic: str | None) -> str | None:
+def plane_topic(reader: BagReader, commands: str, topic: str | None) -> str | None:
     """Name of the topic with the plane's poses, beside the one with the commands; None if there is none."""
     if topic is not None:
         name = _named_topic(reader, topic)

@@ -18,20 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FingerSimError
+from ..physics.rotations import matrix, normalised
 from ..scene.mesh import TetMesh
 from ..scene.resources import shipped
 from .imports import ImportSummary, import_csv
-from .layout import rotation_matrix
 from .reader import START, write_commands
 
 __all__ = [
     "ImportSummary",
     "Stroke",
-    "follow",
     "import_csv",
     "make_bags",
     "minimum_jerk",
     "touch_height",
+    "trace",
     "tremor",
 ]
 
@@ -108,7 +108,7 @@ def minimum_jerk(s: NDArray[np.float64]) -> NDArray[np.float64]:
     return s**3 * (10.0 + s * (-15.0 + 6.0 * s))
 
 
-def follow(strokes: Sequence[Stroke], t: NDArray[np.float64]) -> NDArray[np.float64]:
+def trace(strokes: Sequence[Stroke], t: NDArray[np.float64]) -> NDArray[np.float64]:
     """Where the strokes are at times t (n,) [s]: (n, 3) [m]. They begin at rest at the end of the first."""
     place = np.tile(np.array(strokes[0].to, dtype=np.float64), (len(t), 1))
     begin, here = 0.0, np.array(strokes[0].to)
@@ -136,7 +136,7 @@ def tremor(t: NDArray[np.float64], seed: int, amplitude: float = TREMOR) -> NDAr
 
 def touch_height(points: NDArray[np.float64], orientation: Sequence[float]) -> float:
     """Height [m] of the finger frame at which the skin just touches z = 0: −min (R X)_z over X (n, 3)."""
-    return -float((points @ rotation_matrix(orientation).T)[:, 2].min())
+    return -float((points @ matrix(normalised(orientation)).T)[:, 2].min())
 
 
 def make_bags(folder: str | Path, mesh: TetMesh | None = None) -> list[Path]:
@@ -150,7 +150,7 @@ def make_bags(folder: str | Path, mesh: TetMesh | None = None) -> list[Path]:
     for seed, (name, (orientation, strokes)) in enumerate(STROKES.items()):
         n = round(sum(stroke.duration for stroke in strokes) * RATE) + 1
         t = np.arange(n) / RATE
-        position = follow(strokes, t) + tremor(t, seed)
+        position = trace(strokes, t) + tremor(t, seed)
         position[:, 2] += touch_height(points, orientation)
         position = np.round(position * 2.0**30) / 2.0**30  # about a nanometre: the same on every machine
         times = [START + k * 1_000_000_000 // RATE for k in range(n)]

@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Literal, Self
@@ -15,66 +14,12 @@ import yaml
 from mcap.writer import CompressionType, Writer
 
 from ..errors import BagError
+from .metadata import CUT, Part, Qos, RecordedTopic, information
 
 FLUSH_PERIOD = 0.5
 """Longest time [s] of messages that a killed writer loses."""
 
-_FOREVER = {"sec": 9223372036, "nsec": 854775807}
-
-
-@dataclass(frozen=True)
-class Qos:
-    """What a recorded topic offered: rosbag2 plays it back with the same."""
-
-    depth: int = 10
-    reliable: bool = True
-    transient_local: bool = False
-
-    def as_rosbag2(self) -> dict[str, Any]:
-        """The profile in the words of rosbag2's metadata version 9."""
-        return {
-            "history": "keep_last",
-            "depth": self.depth,
-            "reliability": "reliable" if self.reliable else "best_effort",
-            "durability": "transient_local" if self.transient_local else "volatile",
-            "deadline": dict(_FOREVER),
-            "lifespan": dict(_FOREVER),
-            "liveliness": "automatic",
-            "liveliness_lease_duration": dict(_FOREVER),
-            "avoid_ros_namespace_conventions": False,
-        }
-
-
-@dataclass
-class _Recorded:
-    """One channel being written."""
-
-    channel_id: int
-    type: str
-    definition: tuple[str, str]
-    qos: Qos
-    count: int = 0
-    next_sequence: int = 1
-
-
-@dataclass
-class _Part:
-    """One file of a bag being written: the number of its messages, and their log times [ns]."""
-
-    file: Path
-    count: int = 0
-    begin: int = 0
-    """Of the first message written; clocks that jump back bring earlier ones after it."""
-    first: int = 2**64
-    last: int = 0
-
-    def add(self, log_time: int) -> None:
-        """One more message."""
-        if self.count == 0:
-            self.begin = log_time
-        self.count += 1
-        self.first, self.last = min(self.first, log_time), max(self.last, log_time)
-
+_METADATA, _UNFINISHED = "metadata.yaml", "metadata.yaml.tmp"
 
 Compression = Literal["zstd", "lz4", "none"]
 """Of chunks: zstd is smaller, lz4 takes less time, none is read by everyone."""
@@ -108,17 +53,22 @@ class BagWriter:
         self.path = Path(path)
         self.custom_data = dict(custom_data or {})
         self._compression, self._split_bytes, self._split_ns = compression, split_bytes, split_seconds * 1e9
-        self._recorded: dict[str, _Recorded] = {}
+        self._recorded: dict[str, RecordedTopic] = {}
         self._schemas: dict[str, int] = {}
-        self._parts: list[_Part] = []
+        self._parts: list[Part] = []
         self._chunk_start: int | None = None
         self._open = False
         require_absent(self.path)
+        self._folders = [self.path, *(folder for folder in self.path.parents if not folder.exists())]
         try:
             self.path.mkdir(parents=True)
         except OSError as error:
             raise BagError(f"{self.path}: cannot be made: {error.strerror}") from None
-        self._begin_file()
+        try:
+            self._begin_file()
+        except BagError:
+            self.discard()
+            raise
         self._open = True
 
     @property
@@ -152,7 +102,7 @@ class BagWriter:
             from .cdr import definition as look_up  # brings NumPy and rosbags, which nothing else here needs
 
             definition = look_up(type)
-        recorded = _Recorded(0, type, definition, qos or Qos())
+        recorded = RecordedTopic(0, type, definition, qos or Qos())
         try:
             recorded.channel_id = self._register(name, recorded)
         except OSError as error:
@@ -176,7 +126,8 @@ class BagWriter:
         Raises BagError for a topic that was not announced, a negative time, and when the disk refuses.
         """
         self._require_open()
-        recorded = self._recorded.get(absolute(topic))
+        name = absolute(topic)
+        recorded = self._recorded.get(name)
         if recorded is None:
             known = ", ".join(self._recorded) or "none"
             raise BagError(f"{self.path}: topic {topic} was not announced; have {known}")
@@ -184,7 +135,7 @@ class BagWriter:
         if not (0 <= log_time < 2**64 and 0 <= sent < 2**64):
             raise BagError(f"{self.path}: topic {topic}: times must be 0 to 2^64 ns, got {log_time}, {sent}")
         number = recorded.next_sequence if sequence is None else sequence
-        if self._parts[-1].count and self._full(log_time):
+        if self._parts[-1].counts and self._full(log_time):
             self._finish_file()
             self._begin_file()
         try:
@@ -203,7 +154,7 @@ class BagWriter:
             raise self._failed(error) from None
         recorded.next_sequence = number + 1
         recorded.count += 1
-        self._parts[-1].add(log_time)
+        self._parts[-1].add(name, log_time)
 
     def flush(self) -> None:
         """Finishes the current chunk and hands it to the operating system: all so far survives a kill."""
@@ -221,12 +172,34 @@ class BagWriter:
         self._finish_file()
         self._open = False
         try:
-            whole = yaml.safe_dump({"rosbag2_bagfile_information": self._information()}, sort_keys=False)
-            unfinished = self.path / "metadata.yaml.tmp"
-            unfinished.write_text(whole, encoding="utf-8")
-            unfinished.replace(self.path / "metadata.yaml")
+            self._write_metadata()
         except OSError as error:
             raise self._failed(error) from None
+
+    def cut(self, why: str) -> None:
+        """Closes the bag where it is; `why` stands in its metadata under CUT, in metadata.yaml and the last file.
+
+        Where the disk has refused a message, the bag ends with the last whole chunk that leaves room for the end of
+        the file; that end has no index, which readers do without.
+        Raises BagError when not even that can be written, or no message is left.
+        """
+        self.custom_data[CUT] = why
+        if self._open:
+            self.close()
+            return
+        from .mcap_files import finish_cut_off
+
+        part = self._parts[-1]
+        try:
+            counts, part.first, part.last = finish_cut_off(part.file)
+            if not counts.total():
+                raise BagError(f"{self.path}: no message is left")
+            for name, topic in self._recorded.items():
+                topic.count -= part.counts[name] - counts[name]
+            part.counts = counts
+            self._write_metadata()
+        except OSError as error:
+            raise BagError(f"{self.path}: cannot be finished: {error.strerror}") from None
 
     def abort(self) -> None:
         """Stops where it is: what was written stays readable, without index and metadata.yaml."""
@@ -234,6 +207,17 @@ class BagWriter:
             with contextlib.suppress(OSError):
                 self._writer.flush()
             self._drop()
+
+    def discard(self) -> None:
+        """Stops and removes what was made: the files, and the folders that were made for them."""
+        if self._open:
+            self._drop()
+        for file in (*self.files, self.path / _UNFINISHED, self.path / _METADATA):
+            with contextlib.suppress(OSError):
+                file.unlink(missing_ok=True)
+        for folder in self._folders:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
     def __enter__(self) -> Self:
         return self
@@ -247,13 +231,23 @@ class BagWriter:
         else:
             self.abort()
 
+    def _write_metadata(self) -> None:
+        """Writes metadata.yaml, whole or not at all."""
+        whole = yaml.safe_dump({"rosbag2_bagfile_information": self._information()}, sort_keys=False)
+        unfinished = self.path / _UNFINISHED
+        unfinished.write_text(whole, encoding="utf-8")
+        unfinished.replace(self.path / _METADATA)
+
+    def _information(self) -> dict[str, Any]:
+        return information(self._recorded, self._parts, self.custom_data)
+
     def _require_open(self) -> None:
         if not self._open:
             raise BagError(f"{self.path}: the bag is closed")
 
     def _begin_file(self) -> None:
         """Makes the next file and announces in it what was announced before."""
-        part = _Part(self.path / f"{self.path.name}_{len(self._parts)}.mcap")
+        part = Part(self.path / f"{self.path.name}_{len(self._parts)}.mcap")
         self._parts.append(part)
         self._chunk_start = None
         self._schemas.clear()
@@ -282,7 +276,7 @@ class BagWriter:
         except OSError as error:
             raise self._failed(error) from None
 
-    def _register(self, name: str, recorded: _Recorded) -> int:
+    def _register(self, name: str, recorded: RecordedTopic) -> int:
         """Announces a topic in the present file; its channel there."""
         type = recorded.type
         text, type_hash = recorded.definition
@@ -308,46 +302,7 @@ class BagWriter:
     def _failed(self, error: OSError) -> BagError:
         self._drop()
         reason = error.strerror or str(error)
-        return BagError(f"{self._parts[-1].file}: cannot be written: {reason}; what was recorded before stays readable")
-
-    def _information(self) -> dict[str, Any]:
-        """rosbag2's bag information, metadata version 9."""
-        count = sum(part.count for part in self._parts)
-        times = _times(self._parts)
-        return {
-            "version": 9,
-            "storage_identifier": "mcap",
-            "duration": times["duration"],
-            "starting_time": times["starting_time"],
-            "message_count": count,
-            "topics_with_message_count": [
-                {
-                    "topic_metadata": {
-                        "name": name,
-                        "type": recorded.type,
-                        "serialization_format": "cdr",
-                        "offered_qos_profiles": [recorded.qos.as_rosbag2()],
-                        "type_description_hash": recorded.definition[1],
-                    },
-                    "message_count": recorded.count,
-                }
-                for name, recorded in self._recorded.items()
-            ],
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [part.file.name for part in self._parts],
-            "files": [{"path": part.file.name, **_times([part]), "message_count": part.count} for part in self._parts],
-            "custom_data": self.custom_data or None,
-            "ros_distro": "jazzy",
-        }
-
-
-def _times(parts: Sequence[_Part]) -> dict[str, Any]:
-    """Start and duration of files in rosbag2's words; 2^63 - 1 and 0 where there is no message."""
-    used = [part for part in parts if part.count]
-    first = min((part.first for part in used), default=2**63 - 1)
-    last = max((part.last for part in used), default=first)
-    return {"starting_time": {"nanoseconds_since_epoch": first}, "duration": {"nanoseconds": last - first}}
+        return BagError(f"{self._parts[-1].file}: cannot be written: {reason}")
 
 
 def require_absent(path: str | Path) -> None:

@@ -12,11 +12,10 @@ import math
 import numpy as np
 
 from ..arrays import Floats
-from ..bags.layout import place
 from ..physics.rotations import angle, rotation_vector, slerp
-from ..scene import Coupling, Pose, Vec3
+from ..scene import Coupling, Pose, Vec3, place
 
-LONGEST = 0.1
+LONGEST_GAP = 0.1
 """Most time that a command, or a target of the plane, counts as having taken since the one before [s]."""
 
 
@@ -80,7 +79,7 @@ class CommandSpeed:
     """Velocity of a command that comes in jumps, less often than steps.
 
     A jump's size over the time since the one before, for as long as that took and half as long again, so that commands
-    which come regularly but for some jitter give a steady velocity; then zero. A jump after LONGEST of rest counts
+    which come regularly but for some jitter give a steady velocity; then zero. A jump after LONGEST_GAP of rest counts
     as having taken that.
     """
 
@@ -90,10 +89,11 @@ class CommandSpeed:
 
     def step(self, before: Pose, after: Pose, dt: float) -> Floats:
         """(6,) linear [m/s] and angular [rad/s] velocity, world, at the end of a step of `dt` [s]."""
-        self._since = min(self._since + dt, LONGEST)
+        self._since += dt
         if after != before:
-            self.value = np.array(displacement(before, after)) / self._since
-            self._holds, self._since = 1.5 * self._since, 0.0
+            took = min(self._since, LONGEST_GAP)
+            self.value = np.array(displacement(before, after)) / took
+            self._holds, self._since = 1.5 * took, 0.0
         elif self._since > self._holds:
             self.value = np.zeros(6)
         return self.value

@@ -20,27 +20,40 @@ account is: for delays of whole periods and a command each, and else as far as t
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
 Vec6 = tuple[float, float, float, float, float, float]
 
-LONGEST = 1000
-"""Periods of delay that are followed; a longer delay counts as this."""
+MOST_PERIODS = 1000
+"""Periods of delay that are followed; a longer delay counts as this. At 1 kHz that is 1 s, as long as a command's
+transport is believed."""
 LET_GO = 4.0
-"""Leak in allowances from which not even damping is sent."""
-QUIET, QUIET_TIME = 5e-3, 0.02
-"""Speed of a device at rest [m/s], and time beyond a loop delay without any faster [s] until a leak is forgiven."""
+"""Leak in allowances from which not even damping is sent. The wrench is scaled to nothing at one; a damper behind a
+delay may leak itself, has two more for that in full, and fades out over the last."""
+QUIET = 5e-3
+"""Speed of a device at rest [m/s]: that of a hand that holds still and trembles by 0.1 mm at 8 Hz."""
+QUIET_TIME = 0.02
+"""Time beyond a loop delay without any faster speed until a leak is forgiven [s]. A device that swings is so slow too
+where it turns round, but shorter: 2.5 ms for 1 mm at 10 Hz."""
 FORGIVING = 0.5
-"""Time in which the leak, or an allowance if that is more, is forgiven at rest [s]."""
+"""Time in which the leak, or an allowance if that is more, is forgiven at rest [s]: a press of 5 N comes back by
+10 mN a millisecond, which is not felt as a step."""
 LETTING = 0.1
-"""Time in which an allowance is forgiven of a leak from which nothing is sent [s]: in motion nothing else ends that."""
+"""Time in which an allowance is forgiven of a leak from which nothing is sent [s]: in motion nothing else ends that.
+For 10 mJ it is 0.1 W, which 0.8 N s/m of device and hand dissipate at 0.35 m/s."""
 BRAKED = 0.25
-"""Share of the device's momentum against a wrench that the wrench may take before the next is there."""
+"""Share of the device's momentum against a wrench that the wrench may take before the next is there: a device of a
+quarter of the assumed mass is then stopped, and still not turned round."""
 FORGETTING = 0.5
-"""Time constant with which energy received is forgotten where no elastic body can hold it [s]."""
+"""Time constant with which energy received is forgotten where no elastic body can hold it [s]: long beside a loop
+delay, whose energy is still to come back, and shorter than from one touch to the next."""
 DAMPED = math.exp(-1.0)
-"""Largest damping · delay / mass with which a delayed damper stops a free mass without swinging."""
+"""Largest damping · delay / mass with which a delayed damper stops a free mass without swinging: m v'(t) = −b v(t − d)
+has a real decay as long as b d / m ≤ 1/e."""
+AHEAD = 1.5
+"""Intervals of commands from the middle of the motion that was seen last until the next wrench is there."""
 NONE: Vec6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -53,15 +66,28 @@ def stable_stiffness(damping: float, period: float, delay: float) -> float:
     return damping / (period / 2.0 + delay)
 
 
+@dataclasses.dataclass(frozen=True, slots=True)
+class Control:
+    """What the controller of a port is set to.
+
+    allowance   : leak at which the simulation's wrench is scaled to nothing [J]
+    max_damping : of the damper that dissipates a leak [N s/m]; less where delay and mass demand it
+    mass        : least mass of device and hand at the port [kg]; a wrong one costs quality, not the bound
+    lever       : a turn of 1 rad counts as a path of this length; mass and damping likewise [m]
+    """
+
+    allowance: float = 0.01
+    max_damping: float = 5.0
+    mass: float = 0.1
+    lever: float = 0.05
+
+
 class Port:
     """The port of a loop: told each step's wrench and motion, it gives the wrench to send.
 
     period         : of the loop [s]
     controlled     : whether `step` changes the wrench; the account is kept either way
-    allowance      : leak at which the simulation's wrench is scaled to nothing [J]
-    max_damping    : of the damper that dissipates a leak [N s/m]; less where delay and mass demand it
-    mass           : least mass of device and hand at the port [kg]; a wrong one costs quality, not the bound
-    lever          : a turn of 1 rad counts as a path of this length; mass and damping likewise [m]
+    control        : settings of the controller
     force_limit, torque_limit : of the wrench where the controller changes it [N], [N m]
 
     energy     : given to the device since the reset; negative: received [J]
@@ -77,16 +103,14 @@ class Port:
         self,
         period: float,
         controlled: bool = False,
+        control: Control = Control(),
         *,
-        allowance: float = 0.01,
-        max_damping: float = 5.0,
-        mass: float = 0.1,
-        lever: float = 0.05,
         force_limit: float = math.inf,
         torque_limit: float = math.inf,
     ) -> None:
         self.period, self.controlled = period, controlled
-        self.allowance, self.max_damping, self.mass, self.lever = allowance, max_damping, mass, lever
+        self.allowance, self.max_damping = control.allowance, control.max_damping
+        self.mass, self.lever = control.mass, control.lever
         self.force_limit, self.torque_limit = force_limit, torque_limit
         self.reset()
 
@@ -107,7 +131,7 @@ class Port:
         delay: from the device's sample of the pose until it holds the wrench of this step [s].
         fresh: whether a command came for this step; without one, `motion` is not read.
         """
-        now, lag = self._now, min(delay / self.period, LONGEST)
+        now, lag = self._now, min(delay / self.period, MOST_PERIODS)
         self._since += 1
         if fresh:
             self._account(motion, now - lag)
@@ -165,8 +189,8 @@ class Port:
         ahead = (u * u + v * v + w * w) / self.mass + (x * x + y * y + z * z) / inertia
         ahead = 0.5 * ahead * self.period**2 + self.period * _dot((u, v, w, x, y, z), velocity)
         g = self.factor = min(1.0, max(0.0, 1.0 - (leak + max(ahead, 0.0)) / allowance))
-        wait = delay + 1.5 * self._interval * self.period
-        if g < 1.0 and leak < 1.001 * LET_GO * allowance:
+        wait = delay + AHEAD * self._interval * self.period
+        if g < 1.0 and leak < 1.001 * LET_GO * allowance:  # forgiving ends at LET_GO, but for rounding
             g = self.factor = max(g, self._resisted(wrench, wait))
         part = min(1.0, leak / allowance, LET_GO - leak / allowance)
         if part <= 0.0:
@@ -186,7 +210,7 @@ class Port:
         return (p * u, p * v, p * w, q * x, q * y, q * z), (p * a, p * c, p * d, q * e, q * f, q * h)
 
     def _resisted(self, wrench: Vec6, wait: float) -> float:
-        """Part of a wrench that cannot turn the device round before the next: so long as it only brakes, it takes."""
+        """Part of a wrench that only brakes the device: it cannot turn the device round before the next is there."""
         u, v, w, x, y, z = wrench
         braked = -_dot(wrench, self._velocity)
         turned = (u * u + v * v + w * w) / self.mass + (x * x + y * y + z * z) / (self.mass * self.lever**2)
@@ -197,7 +221,7 @@ class _Sums:
     """Sums of one wrench a step, and up to where they met the motion that they caused."""
 
     def __init__(self) -> None:
-        self._before = [NONE] * (LONGEST + 2)
+        self._before = [NONE] * (MOST_PERIODS + 2)
         """Sum of all before a step, at its number modulo their count."""
         self._count = 0
         self._until, self._met = 0.0, NONE
@@ -205,14 +229,14 @@ class _Sums:
     def add(self, wrench: Vec6) -> None:
         """The wrench of the next step."""
         count = self._count
-        u, v, w, x, y, z = self._before[count % (LONGEST + 2)]
+        u, v, w, x, y, z = self._before[count % (MOST_PERIODS + 2)]
         a, b, c, d, e, f = wrench
         self._count = count + 1
-        self._before[(count + 1) % (LONGEST + 2)] = (u + a, v + b, w + c, x + d, y + e, z + f)
+        self._before[(count + 1) % (MOST_PERIODS + 2)] = (u + a, v + b, w + c, x + d, y + e, z + f)
 
     def open(self) -> Vec6:
         """Sum of those that have not met a motion."""
-        u, v, w, x, y, z = self._before[self._count % (LONGEST + 2)]
+        u, v, w, x, y, z = self._before[self._count % (MOST_PERIODS + 2)]
         a, b, c, d, e, f = self._met
         return u - a, v - b, w - c, x - d, y - e, z - f
 
@@ -222,8 +246,8 @@ class _Sums:
         before, span = self._before, until - self._until
         step = math.ceil(until) - 1
         share = until - step
-        a, b, c, d, e, f = before[step % (LONGEST + 2)]
-        u, v, w, x, y, z = before[(step + 1) % (LONGEST + 2)]
+        a, b, c, d, e, f = before[step % (MOST_PERIODS + 2)]
+        u, v, w, x, y, z = before[(step + 1) % (MOST_PERIODS + 2)]
         u, v, w, x, y, z = u - a, v - b, w - c, x - d, y - e, z - f
         if span <= 0.0:
             return _dot((u, v, w, x, y, z), motion)

@@ -183,7 +183,8 @@ class State(NamedTuple):
     plane_frame: Floats  # (3, 3) rows: unit normal of the plane at the step's end and two tangents, world
     plane_point: Floats  # (3,) a point of it [m], world
     plane_motion: Floats  # (6,) velocity of that point [m/s] and angular velocity [rad/s] in the step
-    target: Floats  # (14,) where a yielding bone is wanted at the end: position, orientation, velocities; 1: it moves
+    moves: Ints  # (1,) 1 where bone or plane move in this step
+    target: Floats  # (13,) where a yielding bone is wanted at the end: position, orientation, velocities
 
     # A bone that yields.
     bone: Floats  # (14,) pose of the bone (finger frame) at the step's start, then at x: position, orientation

@@ -12,8 +12,11 @@ from ..arrays import Floats
 
 Quaternion = tuple[float, float, float, float]
 
-ZERO_NORM = 1e-9
-"""A quaternion shorter than this has no direction: it is refused as zero."""
+SHORT_QUATERNION, LONG_QUATERNION = 1e-6, 1e6
+"""Lengths between which a quaternion is an orientation, both included.
+
+Normalising is exact far beyond them. But who sends a shorter one means none, and a longer one is a broken number.
+"""
 
 
 def matrix_entries(q: Any) -> Any:
@@ -27,6 +30,11 @@ def matrix_entries(q: Any) -> Any:
 def matrix(q: Quaternion) -> Floats:
     """Rotation matrix (3, 3) of a unit quaternion."""
     return np.array(matrix_entries(q)).reshape(3, 3)
+
+
+def unit(q: Quaternion) -> Quaternion | None:
+    """The unit quaternion of the same rotation; None where `q` is not finite, or not of an allowed length."""
+    return normalised(q) if SHORT_QUATERNION <= math.hypot(*q) <= LONG_QUATERNION else None
 
 
 def normalised(q: Sequence[float]) -> Quaternion:

@@ -196,10 +196,10 @@ def since_linearised(state: State, again: int) -> None:
 
 @stage
 def drive(model: Model, state: State, targets: Floats, h: float) -> bool:
-    """Velocities that take the driven nodes to their targets; whether any has to move (or none is driven)."""
-    moved: bool = model.driven.shape[0] == 0
+    """Velocities that take the driven nodes to their targets; whether these or the plane move (or none is driven)."""
+    moved: bool = state.moves[0] != 0 or model.driven.shape[0] == 0
     if model.has_bone:
-        return bool(state.target[13])
+        return moved
     driven, x, v, driven_velocity = model.driven, state.x, state.v, state.driven_velocity
     for d in range(driven.shape[0]):
         n = driven[d]

@@ -16,9 +16,7 @@ from ..physics.locking import STIFF_BULK, STRAINS
 from ..scene import Limits, Plane, Scene, locking
 from ..scene.fields import to_dict
 from ..scene.mesh import TetMesh
-from ..scene.resources import find_bag, find_scene, shipped
-
-SCENES, BAGS = (".yaml", ".yml"), (".mcap", ".db3")
+from ..scene.resources import bag_named, existing, mesh_named, scene_named, shipped_names
 
 
 def info(name: str) -> Iterator[tuple[str, Table]]:
@@ -26,23 +24,22 @@ def info(name: str) -> Iterator[tuple[str, Table]]:
 
     Raises FingerSimError when there is no such thing, or it is broken.
     """
-    scene, bag, mesh = find_scene(name), find_bag(name), shipped("config") / name
-    if scene.name == "metadata.yaml":
+    scene, mesh = scene_named(name), mesh_named(name)
+    bag = bag_named(name) or (None if mesh else existing(name))
+    if scene is not None and scene.name == "metadata.yaml":
         yield from _bag(scene.parent)
-    elif scene.is_file() and scene.suffix in SCENES:
+    elif scene is not None:
         yield from _scene(scene)
-    elif bag.is_dir() or (bag.is_file() and bag.suffix in BAGS):
+    elif bag is not None:
         yield from _bag(bag)
-    elif Path(name).is_file():
-        yield from _mesh(Path(name))
-    elif mesh.is_file():
+    elif mesh is not None:
         yield from _mesh(mesh)
     else:
-        scenes = ", ".join(sorted(path.stem for path in shipped("config").glob("*.yaml")))
-        bags = ", ".join(sorted(path.name for path in shipped("bags").iterdir() if path.is_dir()))
+        names = shipped_names()
         raise FingerSimError(
             f"{name}: no such file; give a scene (.yaml), a bag (folder, .mcap) or a mesh, "
-            f"or a shipped scene ({scenes}) or bag ({bags})"
+            f"or a shipped scene ({', '.join(names['scenes'])}), bag ({', '.join(names['bags'])}) "
+            f"or mesh ({', '.join(names['meshes'])})"
         )
 
 
@@ -55,7 +52,7 @@ def _bag(path: Path) -> Iterator[tuple[str, Table]]:
     facts = {
         "duration": f"{reader.duration:.3f} s",
         "messages": str(reader.message_count),
-        "whole": f"no: {reader.warning}" if reader.truncated else "yes",
+        "whole": f"no: {reader.warning or reader.cut}" if reader.warning or reader.cut else "yes",
         "numbers missing": str(sum(topic.lost for topic in reader.topics)),
     }
     yield f"bag {path}", _pairs(facts)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from ..arrays import Floats, Ints
 from ..bags import cdr
-from ..bags.layout import POINT_DTYPE, rotation_matrix
+from ..bags.layout import POINT_DTYPE
 from ..bags.reader import BagReader, Message, commands_of
 from ..errors import BagError
+from ..physics.rotations import matrix, normalised
 from ..scene import Plane
 
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
@@ -77,7 +78,7 @@ def read_recording(bag: str | Path, plane: Plane | None) -> Recorded:
     triangles = np.array([t.vertex_indices for t in topology.triangles], dtype=np.int64).reshape(-1, 3)
     skin = vertices[np.unique(triangles)]
     lowest = [
-        float(((skin @ rotation_matrix(q).T) @ normal).min() + (p - point) @ normal)
+        float(((skin @ matrix(normalised(q.tolist())).T) @ normal).min() + (p - point) @ normal)
         for p, q in zip(commands.position, commands.orientation, strict=True)
     ]
 

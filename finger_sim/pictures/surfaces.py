@@ -11,6 +11,7 @@ import numpy as np
 
 from ..arrays import Floats
 from ..errors import FingerSimError, MissingExtraError
+from ..plain import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,9 +56,11 @@ def new_figure(width: float, height: float) -> Figure:
 def save(figure: Figure, path: str | Path) -> Path:
     """Writes a picture as what its name's end asks for. Raises FingerSimError when the file cannot be written."""
     try:
-        figure.savefig(path, dpi=DPI)
+        with whole_file(path) as file:
+            figure.savefig(file, dpi=DPI)
     except (OSError, ValueError) as error:
-        raise FingerSimError(f"{path}: the picture cannot be written: {error}") from None
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise FingerSimError(f"{path}: the picture cannot be written: {reason}") from None
     return Path(path)
 
 

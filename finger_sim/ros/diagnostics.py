@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
@@ -11,7 +10,7 @@ from ..haptics.budget import LADDER
 from ..haptics.passivity import stable_stiffness
 from .graph_watch import GraphWatch
 from .inbox import Inbox
-from .loop import Loop, Progress
+from .loop import Loop, StepCounts
 from .outputs import Outputs
 from .stepper import Stepper, Window
 
@@ -25,12 +24,12 @@ class Reporter:
     def __init__(self, loop: Loop, stepper: Stepper, outputs: Outputs, inbox: Inbox, graph: GraphWatch) -> None:
         self._loop, self._stepper, self._outputs, self._inbox = loop, stepper, outputs, inbox
         self._graph = graph
-        self._before: Progress | None = None
+        self._before: StepCounts | None = None
         self._reported = 0.0
         self._refused = self._dropped = 0
 
-    def report(self, stamp: Any, starting: str) -> DiagnosticArray:
-        """The report at `stamp` (a Time message); `starting` says what goes on until the loop is ready."""
+    def report(self, stamp: int, starting: str) -> DiagnosticArray:
+        """The report at `stamp` [ns]; `starting` says what goes on until the loop is ready."""
         problems: list[tuple[int, str]] = []
         values: dict[str, str] = {}
         if self._loop.ready:
@@ -51,13 +50,13 @@ class Reporter:
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])
-        array.header.stamp = stamp
+        array.header.stamp.sec, array.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
         return array
 
     def _steps(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
-        loop, period = self._loop, self._stepper.scene.dt
+        loop, period, options = self._loop, self._stepper.scene.dt, self._outputs.options
         now, progress = time.monotonic(), loop.progress
-        before = self._before or Progress(0, 0, 0, progress.begin, progress.begin)
+        before = self._before or StepCounts(0, 0, 0, progress.begin, progress.begin)
         wall = max(now - (self._reported or progress.begin), 1e-9)
         self._before, self._reported = progress, now
         window, self._stepper.window = self._stepper.window, Window()
@@ -69,10 +68,10 @@ class Reporter:
         delay_median, delay_p99 = self._stepper.delay.percentiles(50, 99)
         transport = self._stepper.transport.percentiles(50)[0]
         port = self._stepper.port
-        stiffness = stable_stiffness(self._outputs.options.device_damping, period, delay_p99 + 2.0 * transport)
+        stiffness = stable_stiffness(options.device_damping, period, delay_p99 + 2.0 * transport)
         values.update(
             {
-                "mode": self._outputs.options.mode,
+                "mode": options.mode,
                 "real-time factor": f"{factor:.4f}",
                 "real-time factor since start": f"{overall:.4f}",
                 "rate [Hz]": f"{steps / wall:.1f}",
@@ -106,7 +105,7 @@ class Reporter:
             }
         )
         self._rung(values, problems)
-        free = self._outputs.options.mode == "free"
+        free = options.mode == "free"
         newest = self._stepper.newest
         waiting = newest.received if newest and newest.received > progress.last else now
         quiet = now - (progress.last if free else waiting)
@@ -124,26 +123,27 @@ class Reporter:
         budget = self._stepper.budget
         if budget is None:
             return
-        rung = LADDER[budget.rung]
+        number = budget.rung
+        rung = LADDER[number]
         values["budget [ms]"] = f"{1e3 * budget.seconds:g}"
-        values["accuracy"] = f"{budget.rung} of {len(LADDER) - 1}: {rung.name}"
+        values["accuracy"] = f"{number} of {len(LADDER) - 1}: {rung.name}"
         values["accuracy changes"] = str(budget.moves)
-        if budget.rung > 0:
+        if number > 0:
             problems.append((1, f"less accurate to hold {1e3 * budget.seconds:g} ms: {rung.name}, error {rung.error}"))
 
     def _commands(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
-        command, inbox = self._stepper.newest, self._inbox
+        command, received, refused, reason = self._stepper.newest, *self._inbox.counts()
         age = f"{time.monotonic() - command.received:.3f}" if command else "no command yet"
         values["command age [s]"] = age
-        values["received commands"] = str(inbox.received)
-        values["refused commands"] = str(inbox.refused)
-        if inbox.refused:
-            values["last refusal"] = inbox.reason
+        values["received commands"] = str(received)
+        values["refused commands"] = str(refused)
+        if refused:
+            values["last refusal"] = reason
         if self._stepper.stale:
             problems.append((1, "command is stale: holding the pose"))
-        if inbox.refused > self._refused:
-            problems.append((1, f"{inbox.refused - self._refused} commands refused: {inbox.reason}"))
-        self._refused = inbox.refused
+        if refused > self._refused:
+            problems.append((1, f"{refused - self._refused} commands refused: {reason}"))
+        self._refused = refused
 
     def _recording(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
         recorder = self._outputs.recorder

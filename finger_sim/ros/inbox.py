@@ -13,8 +13,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from geometry_msgs.msg import PoseStamped
-from rclpy.guard_condition import GuardCondition
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
@@ -22,7 +20,8 @@ from ..bags.reader import Qos
 from ..scene import Pose
 from .messages import check_pose, read_pose
 from .outputs import Outputs, ros_qos
-from .recorder import Topic
+from .rclpy_private import Waiter, take
+from .recorder import RecordedTopic
 
 COMMAND_QOS = {"free": Qos(depth=1000, reliable=False), "triggered": Qos(depth=1000)}
 """Of command_pose, by mode; the parameters qos_overrides./command_pose.subscription.… change it.
@@ -52,6 +51,7 @@ class Command(NamedTuple):
 class Inbox:
     """The subscriptions of the loop.
 
+    wait     : for a command, or for `wake`; see `Waiter`
     received : commands that came, good or not
     refused  : commands and plane poses of no use
     reason   : why the last of them was refused
@@ -67,24 +67,29 @@ class Inbox:
         overriding = QoSOverridingOptions((QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY))
         self._commands = _Subscription(node, "command_pose", COMMAND_QOS[outputs.options.mode], overriding)
         self._plane = _Subscription(node, "plane_pose", PLANE_QOS)
-        self._guard = GuardCondition(lambda: None, None, context=node.context)
-        self._waiting = rclpy_implementation.WaitSet(1, 1, 0, 0, 0, 0, node.context.handle)
+        waiter = Waiter(node, self._commands.entity)
+        self.wait, self.wake = waiter.wait, waiter.wake
 
     @property
     def subscriptions(self) -> tuple[Any, ...]:
         """What no executor is to wait for."""
         return (self._commands.entity, self._plane.entity)
 
-    def recorded_topics(self) -> list[Topic]:
+    def recorded_topics(self) -> list[RecordedTopic]:
         """Topics that are recorded as they come."""
         kind = "geometry_msgs/msg/PoseStamped"
         return [
-            Topic(self._commands.name, kind, COMMAND_QOS[self._outputs.options.mode]),
-            Topic(self._plane.name, kind, PLANE_QOS),
+            RecordedTopic(self._commands.name, kind, COMMAND_QOS[self._outputs.options.mode]),
+            RecordedTopic(self._plane.name, kind, PLANE_QOS),
         ]
 
+    def counts(self) -> tuple[int, int, str]:
+        """`received`, `refused` and `reason` of one moment."""
+        with self._lock:
+            return self.received, self.refused, self.reason
+
     def commands(self) -> list[Command]:
-        """The good ones that came since the last look, in their order; the others are counted, and said once."""
+        """The good ones that came since the last look, in their order; others are counted, the first is logged."""
         with self._lock:
             taken = self._take(self._commands)
             if not taken:
@@ -107,20 +112,6 @@ class Inbox:
             good = [self._accepted(data, "plane_pose") for data, _ in self._take(self._plane)]
             return next((accepted[0] for accepted in reversed(good) if accepted is not None), None)
 
-    def wait(self, timeout: float) -> bool:
-        """Until a command comes or `wake` is called; False when neither has after `timeout` [s]. Of one thread."""
-        handle = self._commands.entity.handle
-        with handle, self._guard.handle:
-            self._waiting.clear_entities()
-            self._waiting.add_subscription(handle)
-            self._waiting.add_guard_condition(self._guard.handle)
-            self._waiting.wait(round(1e9 * timeout))
-            return any(self._waiting.get_ready_entities(kind) for kind in ("subscription", "guard_condition"))
-
-    def wake(self) -> None:
-        """Ends a `wait`, or the next one; from any thread."""
-        self._guard.trigger()
-
     def _take(self, subscription: _Subscription) -> list[tuple[bytes, int]]:
         """What came on it, recorded if there is a recording."""
         taken, recorder = subscription.take(), self._outputs.recorder
@@ -130,7 +121,7 @@ class Inbox:
         return taken
 
     def _accepted(self, data: bytes, what: str) -> tuple[Pose, int] | None:
-        """Pose and stamp [ns] of a message; None, counted and said once, where it is of no use."""
+        """Pose and stamp [ns] of a message; None where it is of no use: that is counted, and the first is logged."""
         try:
             message = read_pose(data)
             pose = check_pose(message, self._outputs.options.world_frame)
@@ -168,11 +159,9 @@ class _Subscription:
         before the last look at all that there was.
         """
         out: list[tuple[bytes, int]] = []
-        handle = self.entity.handle
-        with handle:
-            while (taken := handle.take_message(PoseStamped, True)) is not None:
-                now = time.monotonic_ns()
-                age = min(max(time.time_ns() - taken[1]["received_timestamp"], 0), now - self._looked)
-                out.append((taken[0], now - age))
+        while (taken := take(self.entity)) is not None:
+            now = time.monotonic_ns()
+            age = min(max(time.time_ns() - taken[1], 0), now - self._looked)
+            out.append((taken[0], now - age))
         self._looked = time.monotonic_ns()
         return out

@@ -6,7 +6,7 @@ overruns: steps are never bunched up, and time lost is never hidden.
 
 TriggeredLoop: what triggers a step waits in a bounded queue; what is dropped there is counted as an overrun.
 
-`python -m finger_sim.ros.loop PERIOD SECONDS PRIORITY` runs a loop that does nothing, and prints its Progress as
+`python -m finger_sim.ros.loop PERIOD SECONDS PRIORITY` runs a loop that does nothing, and prints its StepCounts as
 JSON: what this machine allows. It needs no ROS.
 """
 
@@ -29,31 +29,31 @@ import numpy as np
 
 from ..arrays import Floats
 
-RING = 4096
-"""Steps whose times are kept for percentiles."""
+KEPT = 4096
+"""Steps whose times are kept for percentiles: the last 4 s at 1 kHz, so that a report tells of the present."""
 IDLE_PERIOD = 0.01
 """How often a triggered loop looks at the time while nothing triggers it [s]."""
 _PR_SET_TIMERSLACK = 29  # of prctl(2)
 
 
-class Ring:
-    """The last RING numbers, for percentiles; written by one thread, read by any."""
+class Recent:
+    """The last KEPT numbers, for percentiles; written by one thread, read by any."""
 
     def __init__(self) -> None:
-        self._values: Floats = np.zeros(RING)
+        self._values: Floats = np.zeros(KEPT)
         self._count = 0
 
     def add(self, value: float) -> None:
-        self._values[self._count % RING] = value
+        self._values[self._count % KEPT] = value
         self._count += 1
 
     def percentiles(self, *wanted: float) -> tuple[float, ...]:
         """The wanted percentiles [0, 100] of what is kept; zeros when nothing is."""
-        kept = self._values[: min(self._count, RING)]
+        kept = self._values[: min(self._count, KEPT)]
         return tuple(float(p) for p in np.percentile(kept, wanted)) if len(kept) else (0.0,) * len(wanted)
 
 
-class Progress(NamedTuple):
+class StepCounts(NamedTuple):
     """How far a loop has come."""
 
     steps: int
@@ -88,13 +88,13 @@ class Loop:
 
     def __init__(self, prepare: Callable[[], None]) -> None:
         self.error: Exception | None = None
-        self.step_time = Ring()
-        self.lateness = Ring()
+        self.step_time = Recent()
+        self.lateness = Recent()
         self._prepare = prepare
         self._wake: Callable[[], None] = lambda: None
         self._calls: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
         self._stop = threading.Event()
-        self._progress = Progress(0, 0, 0, 0.0, 0.0)
+        self._progress = StepCounts(0, 0, 0, 0.0, 0.0)
         self._ready = False
         self._thread = threading.Thread(target=self._run, name="loop", daemon=True)
 
@@ -113,7 +113,7 @@ class Loop:
         return self._ready
 
     @property
-    def progress(self) -> Progress:
+    def progress(self) -> StepCounts:
         """Steps made and missed until now."""
         return self._progress
 
@@ -138,7 +138,7 @@ class Loop:
             self._prepare()
             if not self._stop.is_set():
                 now = time.monotonic()
-                self._progress = Progress(0, 0, 0, now, now)
+                self._progress = StepCounts(0, 0, 0, now, now)
                 self._ready = True
                 self._turn(now)
         except Exception as error:
@@ -187,7 +187,7 @@ class RateLoop(Loop):
             k = following
             self.step_time.add(end - begin)
             self.lateness.add(begin - deadline)
-            self._progress = Progress(steps, late, overruns, origin, end)
+            self._progress = StepCounts(steps, late, overruns, origin, end)
 
 
 class Waiting(Protocol):
@@ -243,7 +243,7 @@ class TriggeredLoop(Loop, Generic[T]):
                 steps += 1
                 self.step_time.add(end - begin)
                 self.lateness.add(begin - item.received)
-                self._progress = Progress(steps, 0, dropped, origin, end)
+                self._progress = StepCounts(steps, 0, dropped, origin, end)
             elif not self._wait(IDLE_PERIOD):
                 self._idle()
 
@@ -253,7 +253,7 @@ def prefer_this_thread(priority: int) -> None:
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
 
-def bare(period: float, seconds: float, priority: int = 0) -> Progress:
+def bare(period: float, seconds: float, priority: int = 0) -> StepCounts:
     """How far a loop that does nothing comes in `seconds` at `period` [s]; `priority`: of SCHED_FIFO, 0 for none."""
     loop = RateLoop(period, lambda: prefer_this_thread(priority) if priority else None, lambda: None)
     loop.start()

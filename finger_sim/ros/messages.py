@@ -1,6 +1,6 @@
 """Arrays to messages and back: a `Template` per outgoing topic, and the check of what comes in.
 
-An outgoing message has the same shape every time. Its `Template` is serialised once by rclpy, and the places
+An outgoing message has the same shape every time. Its `Template` is serialised once, and the places
 of its numbers are found by marks; each step writes stamp and numbers into those bytes, which are published
 and recorded as they are. That costs a fifth of filling and serialising the message, and a number can only
 ever be written as the float64 or float32 that the field is.
@@ -8,33 +8,33 @@ ever be written as the float64 or float32 that the field is.
 
 from __future__ import annotations
 
-import array
-import math
 import struct
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import Point, PoseStamped, WrenchStamped
+from geometry_msgs.msg import Point, PoseStamped
 from geometry_msgs.msg import Pose as PoseMessage
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import PointCloud2, PointField
-from shape_msgs.msg import Mesh, MeshTriangle
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
 from ..arrays import Floats
-from ..bags.layout import FLOAT32, POINT_FIELDS, POINT_STEP
-from ..scene import Pose
-from ..scene.fields import specs
+from ..bags import cdr
+from ..bags.layout import POINT_DTYPE
+from ..errors import SceneError
+from ..scene import Pose, checked_pose
 
 _STAMP = struct.Struct("<iI")
 _HEADER, _POSE = struct.Struct("<iII"), struct.Struct("<7d")
 _STAMP_OFFSET = 4
 """Where a message that begins with a header has its stamp: after the 4 bytes that name the encoding."""
 
-_POSITION = specs(Pose)["position"]
+LATEST = (1 << 31) * 1_000_000_000 - 1
+"""The last time that the header of a message can hold [ns]."""
+_SHOWN = 80
+"""Characters of a frame_id that a refusal shows: what anyone sends is told again in logs and every second."""
 
 RAMP = np.array([[0.16, 0.30, 0.62], [0.22, 0.62, 0.75], [0.62, 0.82, 0.47], [0.97, 0.76, 0.26], [0.80, 0.16, 0.16]])
 """Colours (5, 3) of mesh_marker for 0, ¼, ½, ¾ and 1 (at the limit)."""
@@ -43,16 +43,15 @@ RAMP = np.array([[0.16, 0.30, 0.62], [0.22, 0.62, 0.75], [0.62, 0.82, 0.47], [0.
 class Template:
     """The CDR bytes of a message whose numbers change and whose shape does not.
 
-    message : begins with a header and holds the `marks`
-    marks   : bytes of each block of numbers as the message holds it, each found exactly once
+    data  : the message, which begins with a header and holds the `marks`
+    marks : bytes of each block of numbers as the message holds it, each found exactly once
     """
 
-    def __init__(self, message: Any, *marks: bytes) -> None:
-        cdr = serialize_message(message)
-        assert cdr[:2] == b"\x00\x01", "little-endian CDR"
-        assert all(cdr.count(mark) == 1 for mark in marks), "marks that occur once"
-        self._bytes = bytearray(cdr)
-        self._places = [slice(at := cdr.index(mark), at + len(mark)) for mark in marks]
+    def __init__(self, data: bytes, *marks: bytes) -> None:
+        assert data[:2] == b"\x00\x01", "little-endian CDR"
+        assert all(data.count(mark) == 1 for mark in marks), "marks that occur once"
+        self._bytes = bytearray(data)
+        self._places = [slice(at := data.index(mark), at + len(mark)) for mark in marks]
 
     def fill(self, stamp: int, *blocks: bytes) -> bytes:
         """The message at `stamp` [ns] with its blocks replaced by others of the same length."""
@@ -71,37 +70,20 @@ def doubles(values: Sequence[float] | NDArray[Any]) -> bytes:
 
 def wrench_template(frame_id: str) -> Template:
     """WrenchStamped; block: force and torque (6,) [N, N·m]."""
-    message, marks = WrenchStamped(), _marks(6)
-    message.header.frame_id = frame_id
-    w = message.wrench
-    w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z = marks.tolist()
-    return Template(message, doubles(marks))
+    marks = _marks(6)
+    return Template(cdr.wrench_stamped(0, frame_id, marks), doubles(marks))
 
 
 def pose_template(frame_id: str) -> Template:
     """PoseStamped; block: position [m] and orientation xyzw (7,)."""
-    message, marks = PoseStamped(), _marks(7)
-    message.header.frame_id = frame_id
-    p, q = message.pose.position, message.pose.orientation
-    p.x, p.y, p.z, q.x, q.y, q.z, q.w = marks.tolist()
-    return Template(message, doubles(marks))
+    marks = _marks(7)
+    return Template(cdr.pose_stamped(0, frame_id, marks[:3], marks[3:]), doubles(marks))
 
 
 def cloud_template(frame_id: str, points: int) -> Template:
     """PointCloud2; block: `points` points packed by `layout.pack_points`."""
-    marks = np.random.default_rng(0).bytes(points * POINT_STEP)
-    message = PointCloud2(
-        height=1,
-        width=points,
-        is_bigendian=False,
-        point_step=POINT_STEP,
-        row_step=points * POINT_STEP,
-        is_dense=True,
-        data=array.array("B", marks),
-        fields=[PointField(name=name, offset=at, datatype=FLOAT32, count=1) for name, at in POINT_FIELDS],
-    )
-    message.header.frame_id = frame_id
-    return Template(message, marks)
+    marks = np.random.default_rng(0).bytes(points * POINT_DTYPE.itemsize)
+    return Template(cdr.point_cloud(0, frame_id, np.frombuffer(marks, POINT_DTYPE)), marks)
 
 
 def marker_template(frame_id: str, corners: int) -> Template:
@@ -115,15 +97,7 @@ def marker_template(frame_id: str, corners: int) -> Template:
     message.color = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
     message.points = [Point(x=x, y=y, z=z) for x, y, z in points.tolist()]
     message.colors = [ColorRGBA(r=r, g=g, b=b, a=a) for r, g, b, a in colors.tolist()]
-    return Template(message, doubles(points), colors.tobytes())
-
-
-def topology_message(vertices: Floats, triangles: NDArray[np.integer[Any]]) -> Mesh:
-    """Mesh at rest: vertices (n, 3) [m], finger frame; triangles (k, 3) index them, and mesh_points too."""
-    return Mesh(
-        vertices=[Point(x=float(x), y=float(y), z=float(z)) for x, y, z in vertices],
-        triangles=[MeshTriangle(vertex_indices=[int(i) for i in face]) for face in triangles],
-    )
+    return Template(serialize_message(message), doubles(points), colors.tobytes())
 
 
 def ramp_colors(values: Floats) -> NDArray[np.float32]:
@@ -154,7 +128,7 @@ class StampedPose(NamedTuple):
 
 
 def read_pose(data: bytes) -> StampedPose:
-    """A PoseStamped in CDR bytes. Raises ValueError for bytes that are none.
+    """A PoseStamped in CDR bytes. Raises ValueError for bytes that are none, and for a stamp that is no time.
 
     The usual encoding is read in place, in a tenth of the time that rclpy takes.
     """
@@ -164,14 +138,26 @@ def read_pose(data: bytes) -> StampedPose:
         pose = end + (_STAMP_OFFSET - end) % 8
         if length and len(data) >= pose + _POSE.size:
             frame_id = data[end - length : end - 1].decode(errors="replace")
-            return StampedPose(seconds * 1_000_000_000 + nanoseconds, frame_id, _POSE.unpack_from(data, pose))
+            return StampedPose(_stamp(seconds, nanoseconds), frame_id, _POSE.unpack_from(data, pose))
     try:
         message = deserialize_message(data, PoseStamped)
     except Exception:
         raise ValueError(f"{len(data)} bytes that are no PoseStamped") from None
     p, q, stamp = message.pose.position, message.pose.orientation, message.header.stamp
     values = (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
-    return StampedPose(stamp.sec * 1_000_000_000 + stamp.nanosec, message.header.frame_id, values)
+    return StampedPose(_stamp(stamp.sec, stamp.nanosec), message.header.frame_id, values)
+
+
+def time_of(clock: Any) -> int:
+    """What a ROS clock shows [ns], as the header of a message can hold it: under use_sim_time anyone may set it."""
+    return min(max(int(clock.now().nanoseconds), 0), LATEST)
+
+
+def _stamp(seconds: int, nanoseconds: int) -> int:
+    """Stamp of a header [ns]. Raises ValueError where it is no time."""
+    if seconds < 0 or nanoseconds >= 1_000_000_000:
+        raise ValueError(f"stamp of {seconds} s and {nanoseconds} ns, must be sec >= 0 and nanosec < 1000000000")
+    return seconds * 1_000_000_000 + nanoseconds
 
 
 def check_pose(message: StampedPose, world_frame: str) -> Pose | str:
@@ -180,20 +166,14 @@ def check_pose(message: StampedPose, world_frame: str) -> Pose | str:
     An empty frame_id is refused as any other wrong one: whoever sends it has not said which frame is meant.
     """
     if message.frame_id != world_frame:
-        return f"frame_id {message.frame_id!r}, must be {world_frame!r}"
-    x, y, z, *quaternion = message.values
-    position = (x, y, z)
-    if not all(map(math.isfinite, message.values)):
-        return f"not finite: position {position}, orientation {tuple(quaternion)}"
-    if not all(_POSITION.low <= c <= _POSITION.high for c in position):
-        return f"position {position} out of range [{_POSITION.low:g}, {_POSITION.high:g}] {_POSITION.unit}"
-    norm = math.hypot(*quaternion)
-    if norm < 1e-6:
-        return f"orientation {tuple(quaternion)} is a zero quaternion"
-    if norm == math.inf:
-        return f"orientation {tuple(quaternion)} is too large to normalise"
-    qx, qy, qz, qw = quaternion
-    return Pose(position, (qx / norm, qy / norm, qz / norm, qw / norm))
+        frame_id = message.frame_id
+        cut = f" and {len(frame_id) - _SHOWN} characters more" if len(frame_id) > _SHOWN else ""
+        return f"frame_id {frame_id[:_SHOWN]!r}{cut}, must be {world_frame!r}"
+    try:
+        x, y, z, qx, qy, qz, qw = message.values
+        return checked_pose(Pose((x, y, z), (qx, qy, qz, qw)))
+    except SceneError as error:
+        return str(error)
 
 
 def _marks(count: int) -> Floats:

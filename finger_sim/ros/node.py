@@ -22,6 +22,7 @@ from typing import Any
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
@@ -30,12 +31,13 @@ from std_srvs.srv import SetBool, Trigger
 
 from ..errors import FingerSimError, SceneError
 from ..scene import Scene
-from . import parameters
+from . import parameters, rclpy_private
 from .bag_pipe import Standby
 from .diagnostics import Reporter
 from .graph_watch import GraphWatch
 from .inbox import Command, Inbox
 from .loop import Loop, RateLoop, TriggeredLoop, prefer_this_thread
+from .messages import time_of
 from .outputs import Outputs
 from .recorder import Recorder
 from .stepper import Stepper
@@ -46,7 +48,7 @@ REPORT_PERIOD = 1.0
 """Time between two messages on /diagnostics [s]."""
 
 WAITING_COMMANDS = 1000
-"""Commands that may wait for their steps in mode triggered; of more the oldest are dropped and counted."""
+"""Commands that may wait for their steps in mode triggered; when more come, the oldest are dropped and counted."""
 
 TRANSPORTS = "UDPv4"
 """Of Fast DDS, where the environment names none: through shared memory a publisher, and a step with it, waits for a
@@ -63,14 +65,17 @@ class FingerNode(Node):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__("finger")
         log = self.get_logger()
-        overrides = {name: p.value for name, p in self._parameter_overrides.items()}
+        overrides = rclpy_private.overrides(self)
         options = parameters.options_from(overrides)
-        scene = parameters.scene_from(Scene.load(options.scene), overrides)
+        scene = Scene.load(options.scene)
+        scene = parameters.scene_from(scene, overrides)
         parameters.declare(self, parameters.node_parameters(options))
         parameters.declare(self, scene.parameters())
-        for name, near in parameters.unknown(overrides, self._parameters).items():
-            log.warning(f"parameter {name} is not known and changes nothing" + (f"; {near}?" if near else ""))
-        self.add_pre_set_parameters_callback(lambda given: parameters.widen(given, self._parameters))
+        parameters.require_known(overrides, self, scene, options.scene)
+        self._bags = _bag_path("record_directory", options.record_directory)
+        if options.record and os.path.lexists(_bag_path("record", options.record)):
+            raise SceneError("record", options.record, "a path that does not exist yet")
+        self.add_pre_set_parameters_callback(lambda given: parameters.widen(given, self))
         self.add_on_set_parameters_callback(self._on_set)
 
         self._standby = Standby()
@@ -98,8 +103,8 @@ class FingerNode(Node):  # type: ignore[misc]
         self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._inbox, graph)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
-        if options.record and os.path.lexists(_bag_path(options.record)):
-            raise SceneError("record", options.record, "a path that does not exist yet")
+        for text in parameters.unused_qualities(overrides, self):
+            log.warning(text)
 
     def run(self, stop: threading.Event) -> int:
         """Serves until `stop` is set or the loop fails; the exit code."""
@@ -110,12 +115,22 @@ class FingerNode(Node):  # type: ignore[misc]
         while not stop.is_set() and rclpy.ok() and self._loop.error is None:
             if not self._loop.ready:
                 self._early.extend(self._take())
-            executor.spin_once(timeout_sec=min(0.1, max(0.0, due - time.monotonic())))
+            self._serve(executor, min(0.1, max(0.0, due - time.monotonic())))
             if time.monotonic() >= due:
                 self._report()
                 due = max(due + REPORT_PERIOD, time.monotonic())
         executor.remove_node(self)
         return self._close()
+
+    def _serve(self, executor: Any, timeout: float) -> None:
+        """Answers what comes within `timeout` [s]. What rclpy cannot take, such as a negative /clock, ends nothing."""
+        try:
+            executor.spin_once(timeout_sec=timeout)
+        except (KeyboardInterrupt, ExternalShutdownException):
+            raise
+        except Exception as error:
+            text = " ".join(f"{type(error).__name__}: {error}".split())
+            self.get_logger().error(f"a message or request cannot be taken: {text}", throttle_duration_sec=10.0)
 
     def _close(self) -> int:
         stopped = self._loop.stop(timeout=0.5 if self._loop.ready else 0.1)
@@ -137,7 +152,7 @@ class FingerNode(Node):  # type: ignore[misc]
         """The loop thread's way to its first step."""
         self._stepper.prepare(self._on_progress)
         if self._outputs.options.record:
-            self._record(self._outputs.options.record)
+            self._record(_bag_path("record", self._outputs.options.record))
         self._place_this_thread(self._outputs.options.realtime_priority)
         # A full collection would look at every object numba made: 150 ms in which no step can begin.
         gc.collect()
@@ -165,7 +180,7 @@ class FingerNode(Node):  # type: ignore[misc]
         if self._outputs.recorder is not None:
             self._outputs.recorder.check()
         self._standby.prepare()
-        report = self._reporter.report(self.get_clock().now().to_msg(), self._progress)
+        report = self._reporter.report(time_of(self.get_clock()), self._progress)
         self._outputs.send("/diagnostics", serialize_message(report))
 
     @property
@@ -199,8 +214,9 @@ class FingerNode(Node):  # type: ignore[misc]
         try:
             changes, options = parameters.live_changes(given, self._stepper.scene, self._outputs.options)
             if changes:
-                self._ask(self._loop.call(lambda: self._stepper.apply(changes)))
-            self._outputs.options = options
+                self._ask(self._loop.call(lambda: self._stepper.apply(changes, options)))
+            else:
+                self._outputs.options = options
         except FingerSimError as error:
             return SetParametersResult(successful=False, reason=" ".join(str(error).split()))
         return SetParametersResult(successful=True)
@@ -228,7 +244,7 @@ class FingerNode(Node):  # type: ignore[misc]
             if not self._loop.ready:
                 raise FingerSimError(f"not ready: {self._progress}")
             if request.data:
-                recorder = self._record(_free_name(_bag_path(self._outputs.options.record_directory)))
+                recorder = self._record(_free_name(self._bags))
                 response.success, response.message = True, f"recording {recorder.path}"
             elif recorder is not None:
                 recorder.close()
@@ -237,7 +253,7 @@ class FingerNode(Node):  # type: ignore[misc]
             response.success, response.message = False, str(error)
         return response
 
-    def _record(self, path: str | Path) -> Recorder:
+    def _record(self, path: Path) -> Recorder:
         options = self._outputs.options
         topics = [*self._outputs.recorded_topics(), *self._inbox.recorded_topics()]
         bag = {
@@ -246,7 +262,7 @@ class FingerNode(Node):  # type: ignore[misc]
             "split_seconds": options.record_split_time or math.inf,
         }
         failed = self.get_logger().error
-        recorder = Recorder(_bag_path(path), topics, options.record_queue, self._standby.pipe(), bag, failed)
+        recorder = Recorder(path, topics, options.record_queue, self._standby.pipe(), bag, failed)
         self._outputs.start_recording(recorder)
         return recorder
 
@@ -260,16 +276,21 @@ class FingerNode(Node):  # type: ignore[misc]
             raise FingerSimError(reason) from None
 
 
-def _bag_path(path: str | Path) -> Path:
-    """Where a bag of that name lies."""
-    return Path(path).expanduser().absolute()
+def _bag_path(parameter: str, text: str) -> Path:
+    """The path that a parameter gives. Raises SceneError naming it where that is none."""
+    try:
+        path = Path(text).expanduser().absolute()
+        os.fsencode(path)
+    except (RuntimeError, OSError, ValueError) as error:
+        raise SceneError(parameter, text, f"a path ({error})") from None
+    return path
 
 
 def _free_name(folder: Path) -> Path:
     """A path in `folder` that does not exist, named by the time."""
     stem = time.strftime("finger_%Y%m%d_%H%M%S")
     names = (folder / (stem + (f"_{i}" if i else "")) for i in range(10_000))
-    return next(path for path in names if not path.exists())
+    return next(path for path in names if not os.path.lexists(path))
 
 
 def _process_age() -> float:
@@ -291,10 +312,11 @@ def main(args: list[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     try:
+        rclpy_private.require()
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = FingerNode()
     except (FingerSimError, ParameterException, RuntimeError) as error:
-        print(f"finger_node: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"finger_node: {error}", file=sys.stderr)
         return 1
     try:
         return node.run(stop)

@@ -13,21 +13,21 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped, WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
 from ..arrays import Floats
 from ..bags import cdr
-from ..bags.layout import express_wrench, node_strain, pack_points, place, wrench_frame_id
+from ..bags.layout import express_wrench, node_strain, pack_points, wrench_frame_id
 from ..bags.reader import Qos
-from ..scene import Pose
+from ..scene import Pose, place
 from ..scene.mesh import TetMesh
-from ..simulation.simulator import Simulator, StepResult
+from ..simulation.result import StepResult
+from ..simulation.simulator import Simulator
 from . import messages
-from .parameters import NodeOptions
-from .recorder import Recorder, Topic
+from .options import NodeOptions
+from .recorder import RecordedTopic, Recorder
 
 TF_PERIOD = 0.01
 """Time between two broadcasts of the frames [s], where tf2_ros is installed."""
@@ -57,7 +57,7 @@ def ros_qos(qos: Qos) -> QoSProfile:
 class Outputs:
     """The publishers of the node and the recording, if there is one.
 
-    options  : the node's options as they are now
+    options  : the node's options as they are now, never changed but replaced; a step works on what it read at once
     recorder : gets every message that is sent; None while nothing is recorded
     mesh_messages : point clouds made so far
     """
@@ -87,13 +87,13 @@ class Outputs:
         self._areas = np.maximum(messages.node_areas(mesh.points, mesh.surface), 1e-12)
         for topic in self.recorded_topics():
             cdr.definition(topic.type)
-        self.topology = serialize_message(messages.topology_message(mesh.points, mesh.surface))
+        self.topology = cdr.mesh(mesh.points, mesh.surface)
         self.send("mesh_topology", self.topology)
 
-    def recorded_topics(self) -> list[Topic]:
+    def recorded_topics(self) -> list[RecordedTopic]:
         """Topics of a recording under their resolved names, the topology first."""
         return [
-            Topic(self._names[name], ros_type(kind), qos)
+            RecordedTopic(self._names[name], ros_type(kind), qos)
             for name, (kind, qos) in _TYPES.items()
             if name != "mesh_marker"
         ]
@@ -114,23 +114,23 @@ class Outputs:
         """Sends what a device is to render (6,) [N, N m]; `stamp` is its time [ns]."""
         self.send("device_wrench", self._device.fill(stamp, messages.doubles(wrench)))
 
-    def step(self, sim: Simulator, out: StepResult, device_wrench: Floats, stamp: int) -> None:
-        """Sends what a step brought; `stamp` is its time [ns]."""
-        wrench = express_wrench(out.contact_wrench, out.pose, self.options.wrench_frame)
+    def step(self, sim: Simulator, out: StepResult, device_wrench: Floats, stamp: int, options: NodeOptions) -> None:
+        """Sends what a step brought; `stamp` is its time [ns], `options` are those of that step."""
+        wrench = express_wrench(out.contact_wrench, out.pose, options.wrench_frame)
         self.device(device_wrench, stamp)
         self.send("contact_wrench", self._wrench.fill(stamp, messages.doubles(wrench)))
         pose = messages.doubles((*out.pose.position, *out.pose.orientation))
         self.send("pose", self._pose.fill(stamp, pose))
         now = time.monotonic()
-        if self.options.mesh_rate > 0.0 and now >= self._mesh_due:
-            self._mesh_due = _next_due(self._mesh_due, now, 1.0 / self.options.mesh_rate)
+        if options.mesh_rate > 0.0 and now >= self._mesh_due:
+            self._mesh_due = _next_due(self._mesh_due, now, 1.0 / options.mesh_rate)
             if self._heard("mesh_points") or (self.recorder is not None and self.recorder.active):
                 self.send("mesh_points", self._mesh_points(sim, out.pose, stamp))
                 self.mesh_messages += 1
-        if self.options.marker_rate > 0.0 and now >= self._marker_due:
-            self._marker_due = _next_due(self._marker_due, now, 1.0 / self.options.marker_rate)
+        if options.marker_rate > 0.0 and now >= self._marker_due:
+            self._marker_due = _next_due(self._marker_due, now, 1.0 / options.marker_rate)
             if self._heard("mesh_marker"):
-                self.send("mesh_marker", self._mesh_marker(sim, stamp))
+                self.send("mesh_marker", self._mesh_marker(sim, stamp, options))
         if self._frames is not None and now >= self._tf_due:
             self._tf_due = _next_due(self._tf_due, now, TF_PERIOD)
             self._frames.send(out.pose, stamp)
@@ -143,11 +143,11 @@ class Outputs:
         points = pack_points(sim.positions, place(sim.mesh.points, pose), sim.contact_forces, strain)
         return self._cloud.fill(stamp, points.tobytes())
 
-    def _mesh_marker(self, sim: Simulator, stamp: int) -> bytes:
-        if self.options.marker_color == "strain":
+    def _mesh_marker(self, sim: Simulator, stamp: int, options: NodeOptions) -> bytes:
+        if options.marker_color == "strain":
             values = node_strain(sim.strain_ratio, sim.mesh.tets, len(sim.mesh.points))
         else:
-            values = np.linalg.norm(sim.contact_forces, axis=1) / self._areas / self.options.marker_pressure
+            values = np.linalg.norm(sim.contact_forces, axis=1) / self._areas / options.marker_pressure
         colors = messages.ramp_colors(values)[self._corners]
         return self._marker.fill(stamp, messages.doubles(sim.positions[self._corners]), colors.tobytes())
 

@@ -9,151 +9,23 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Iterable, Mapping
-from typing import Any, Literal, get_args
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
 
 import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter as RosParameter
 
-from ..bags.layout import WRENCH_FRAMES
-from ..bags.reader import Compression
 from ..errors import SceneError
 from ..scene import Parameter, Scene
-from ..scene.fields import Field, field, parse_part, specs
+from ..scene.fields import Field, parse_part, specs
+from ..scene.reference import dotted
+from .options import NodeOptions
 
 ARRAY_KINDS = ("vec3", "quaternion", "limit3")
-
-
-@dataclasses.dataclass(frozen=True)
-class NodeOptions:
-    """What the node does around the simulation."""
-
-    scene: str = field("text", "Scene file, or the name of a shipped scene", default="finger")
-    world_frame: str = field(
-        "text", "Frame of commands and of the mesh; a command in another is refused", default="world"
-    )
-    finger_frame: str = field("text", "Name of the finger frame", default="finger")
-    wrench_frame: Literal["world_aligned", "finger", "world"] = field(
-        "choice",
-        "Axes and point of reference of contact_wrench",
-        default="world_aligned",
-        choices=WRENCH_FRAMES,
-    )
-    command_timeout: float = field(
-        "float",
-        "A command received longer ago is stale: the pose is held, device_wrench is zero",
-        default=0.1,
-        unit="s",
-        low=1e-3,
-        high=3600.0,
-        live=True,
-    )
-    mesh_rate: float = field(
-        "float", "Rate of mesh_points; 0: off", default=60.0, unit="Hz", low=0.0, high=1000.0, live=True
-    )
-    marker_rate: float = field(
-        "float", "Rate of mesh_marker; 0: off", default=10.0, unit="Hz", low=0.0, high=60.0, live=True
-    )
-    marker_color: str = field(
-        "choice",
-        "What the colour of mesh_marker shows",
-        default="strain",
-        choices=("strain", "pressure"),
-        live=True,
-    )
-    marker_pressure: float = field(
-        "float",
-        "Contact pressure shown in the last colour of mesh_marker",
-        default=20e3,
-        unit="Pa",
-        low=1.0,
-        high=1e9,
-        live=True,
-    )
-    mode: Literal["free", "triggered"] = field(
-        "choice",
-        "free: steps at the rate 1/dt follow the newest command; triggered: one step for each command, with its stamp",
-        default="free",
-        choices=("free", "triggered"),
-    )
-    cpu_affinity: str = field(
-        "text", "Processors that the loop's thread may run on, as in 1 or 0,2-3; empty: any", default=""
-    )
-    realtime_priority: int = field(
-        "int",
-        "Priority of the loop's thread under SCHED_FIFO, where the system permits it; 0: as any other thread",
-        default=0,
-        low=0,
-        high=99,
-    )
-    force_scale: float = field(
-        "float",
-        "What the clamped device_wrench is multiplied by; the clamps hold after it too",
-        default=1.0,
-        low=0.0,
-        high=100.0,
-        live=True,
-    )
-    force_ramp: float = field(
-        "float",
-        "Time in which device_wrench comes in when commands start or resume",
-        default=0.2,
-        unit="s",
-        low=0.0,
-        high=60.0,
-        live=True,
-    )
-    passivity: Literal["observe", "control"] = field(
-        "choice",
-        "observe: the energy that leaks to the device is reported; control: and held by scaling device_wrench down",
-        default="observe",
-        choices=("observe", "control"),
-        live=True,
-    )
-    device_damping: float = field(
-        "float",
-        "Damping b of the device, for the stable stiffness b / (T/2 + delay) in diagnostics",
-        default=0.8,
-        unit="N s/m",
-        low=0.0,
-        high=1e3,
-        live=True,
-    )
-    record: str = field("text", "Bag to record from the start to its end; empty: none", default="")
-    record_directory: str = field("text", "Where ~/record makes its bags", default=".", live=True)
-    record_compression: Compression = field(
-        "choice",
-        "Of the chunks of a bag; a change holds from the next recording on, as those of record_split_… do",
-        default="zstd",
-        choices=get_args(Compression),
-        live=True,
-    )
-    record_split_size: float = field(
-        "float",
-        "Size at which a recording goes on in a new file; 0: never",
-        default=0.0,
-        unit="MB",
-        low=0.0,
-        high=1e6,
-        live=True,
-    )
-    record_split_time: float = field(
-        "float",
-        "Time after which a recording goes on in a new file; 0: never",
-        default=0.0,
-        unit="s",
-        low=0.0,
-        high=1e6,
-        live=True,
-    )
-    record_queue: int = field(
-        "int",
-        "Messages that may wait to be written; more are dropped and counted",
-        default=20_000,
-        low=1,
-        high=1_000_000,
-    )
+QOS = "qos_overrides."
+"""How the names of ROS's own parameters for qualities of service begin."""
 
 
 def node_parameters(options: NodeOptions) -> Iterable[Parameter]:
@@ -175,9 +47,10 @@ def to_ros(value: Any, spec: Field) -> Any:
 
 def from_ros(value: Any, spec: Field) -> Any:
     """The plain value for `Scene` of a ROS parameter's value; `Field.parse` judges it."""
+    value = plain(value)
     if spec.optional and value in ("", math.inf):
         return None
-    if spec.kind == "limit3" and not isinstance(value, str | bool | int | float):
+    if spec.kind == "limit3" and isinstance(value, list | tuple):
         return [None if item == math.inf else item for item in value]
     if spec.kind == "text" and type(value) is int:
         return str(value)
@@ -223,16 +96,29 @@ def declare(node: Any, parameters: Iterable[Parameter]) -> None:
 def options_from(overrides: Mapping[str, Any]) -> NodeOptions:
     """The node's options with ROS overrides applied. Raises SceneError naming the parameter."""
     known = specs(NodeOptions)
-    return parse_part(
-        NodeOptions,
-        {name: from_ros(overrides[name], spec) for name, spec in known.items() if name in overrides},
-    )
+    given = {name: from_ros(overrides[name], spec) for name, spec in known.items() if name in overrides}
+    with _explained(known):
+        return parse_part(NodeOptions, given)
 
 
 def scene_from(scene: Scene, overrides: Mapping[str, Any]) -> Scene:
     """The scene with ROS overrides applied. Raises SceneError naming the parameter."""
-    changes = {p.name: from_ros(overrides[p.name], p.spec) for p in scene.parameters() if p.name in overrides}
-    return scene.with_values(changes) if changes else scene
+    known = {p.name: p.spec for p in scene.parameters()}
+    changes = {name: from_ros(overrides[name], spec) for name, spec in known.items() if name in overrides}
+    with _explained(known):
+        return scene.with_values(changes) if changes else scene
+
+
+@contextmanager
+def _explained(known: Mapping[str, Field]) -> Iterator[None]:
+    """A refused value's error also says what the parameter is for: a type alone does not tell what is wanted."""
+    try:
+        yield
+    except SceneError as error:
+        spec = known.get(error.key.partition("[")[0])
+        if spec is None:
+            raise
+        raise SceneError(error.key, error.value, f"{error.allowed} ({spec.doc})", source=error.source) from None
 
 
 def processors(text: str) -> set[int]:
@@ -249,29 +135,57 @@ def processors(text: str) -> set[int]:
     return found
 
 
-def unknown(overrides: Iterable[str], known: Iterable[str]) -> dict[str, str]:
-    """Overrides that name no parameter, each with the nearest name there is ("" if none is near)."""
+def require_known(overrides: Mapping[str, Any], node: Any, scene: Scene, file: str) -> None:
+    """Raises SceneError naming the first override that no parameter of the node, ROS's own among them, takes.
+
+    It names the nearest parameter, or the block that the scene in `file` does not have.
+    """
+    possible = {name for part in (NodeOptions, Scene) for name, _, _ in dotted(part)}
+    known = {p.name for p in scene.parameters()} | set(specs(NodeOptions))
+    for name, value in overrides.items():
+        if node.has_parameter(name) or name.startswith(QOS):
+            continue
+        if name in possible:
+            block = name.rpartition(".")[0]
+            raise SceneError(name, plain(value), f"no value: the scene {file} has no block {block!r}")
+        near = nearest(name, known)
+        hint = f"; did you mean {near}?" if near else ""
+        raise SceneError(name, plain(value), f"no value: the node has no such parameter{hint}")
+
+
+def unused_qualities(overrides: Iterable[str], node: Any) -> Iterator[str]:
+    """What to say of each override of a quality of service that changes nothing; for a node with its subscriptions."""
+    own = [QOS + name for name in node.get_parameters_by_prefix(QOS.rstrip("."))]
+    for name in overrides:
+        if name.startswith(QOS) and name not in own and not name.startswith(f"{QOS}/clock."):
+            near = nearest(name, own)
+            yield f"parameter {name} changes nothing here" + (f"; did you mean {near}?" if near else "")
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """The one most like `name`; "" if none is near."""
     import difflib
 
-    names = list(known)
-    return {
-        name: next(iter(difflib.get_close_matches(name, names, n=1)), "")
-        for name in overrides
-        if name not in names and not name.startswith("qos_overrides.")
-    }
+    return next(iter(difflib.get_close_matches(name, sorted(names), n=1)), "")
 
 
-def widen(parameters: list[Any], declared: Mapping[str, Any]) -> list[Any]:
-    """Whole numbers made floating-point where the declared parameter is that (`ros2 param set … 1`)."""
+def plain(value: Any) -> Any:
+    """An array of a parameter as a list; anything else as it is."""
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def widen(given: list[Any], node: Any) -> list[Any]:
+    """Whole numbers made floating-point where the node's parameter is that (`ros2 param set … 1`)."""
     kind = RosParameter.Type
     out = []
-    for given in parameters:
-        wanted = declared[given.name].type_ if given.name in declared else None
-        if wanted == kind.DOUBLE and given.type_ == kind.INTEGER:
-            given = RosParameter(given.name, wanted, float(given.value))
-        elif wanted == kind.DOUBLE_ARRAY and given.type_ == kind.INTEGER_ARRAY:
-            given = RosParameter(given.name, wanted, [float(item) for item in given.value])
-        out.append(given)
+    for parameter in given:
+        name, value = parameter.name, parameter.value
+        wanted = kind(node.get_parameter_type(name)) if node.has_parameter(name) else None
+        if (wanted, parameter.type_) == (kind.DOUBLE, kind.INTEGER):
+            parameter = RosParameter(name, kind.DOUBLE, float(value))
+        elif (wanted, parameter.type_) == (kind.DOUBLE_ARRAY, kind.INTEGER_ARRAY):
+            parameter = RosParameter(name, kind.DOUBLE_ARRAY, [float(item) for item in value])
+        out.append(parameter)
     return out
 
 

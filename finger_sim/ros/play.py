@@ -26,7 +26,7 @@ POLL_PERIOD = 0.02
 LOOK_AHEAD = 1e-3
 """Progress is told only when the next command is at least this far away [s]."""
 
-Progress = Callable[[float, float], None]
+Meter = Callable[[float, float], None]
 """Called with the seconds played and all there are."""
 
 
@@ -71,7 +71,7 @@ def play(
     speed: float = 1.0,
     duration: float | None = None,
     timeout: float = SUBSCRIBER_TIMEOUT,
-    progress: Progress | None = None,
+    progress: Meter | None = None,
 ) -> Played:
     """Sends `commands` from `node`, each at its time of receipt since the first, header stamp = now.
 

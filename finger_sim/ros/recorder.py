@@ -28,7 +28,7 @@ TIMEOUT = 5.0
 """How long the disk may take to begin a bag, and to finish it [s]."""
 
 
-class Topic(NamedTuple):
+class RecordedTopic(NamedTuple):
     """One topic to record."""
 
     name: str
@@ -52,7 +52,7 @@ class Recorder:
     def __init__(
         self,
         path: str | Path,
-        topics: Sequence[Topic],
+        topics: Sequence[RecordedTopic],
         capacity: int,
         pipe: BagPipe,
         options: Mapping[str, Any] | None = None,

@@ -16,9 +16,12 @@ from ..haptics.coupling import device_wrench, displacement
 from ..haptics.passivity import NONE, Port
 from ..physics.step import Status
 from ..scene import Pose, Scene
-from ..simulation.simulator import Simulator, StepResult
+from ..simulation.result import StepResult
+from ..simulation.simulator import Simulator
 from .inbox import Command
-from .loop import Ring
+from .loop import Recent
+from .messages import time_of
+from .options import NodeOptions
 from .outputs import Outputs
 
 
@@ -73,8 +76,8 @@ class Stepper:
         self.newest: Command | None = None
         self.plane: Pose | None = None
         self.window = Window()
-        self.delay = Ring()
-        self.transport = Ring()
+        self.delay = Recent()
+        self.transport = Recent()
         self.stale = False
         self.budget: Budget | None = None
         self._outputs, self._clock, self._log = outputs, clock, log
@@ -92,23 +95,23 @@ class Stepper:
 
     def tick(self) -> None:
         """One step of scene.dt on the newest command, stamped with the present time."""
-        self._step(self.newest, self._clock.now().nanoseconds)
+        self._step(self.newest, time_of(self._clock))
 
     def answer(self, command: Command) -> None:
-        """One step of scene.dt for `command`, with the command's stamp if it has one: so that they can be paired."""
-        self._step(command, command.stamp or self._clock.now().nanoseconds)
+        """One step of scene.dt for `command`, with its stamp if it has one, so that the two can be paired."""
+        self._step(command, command.stamp or time_of(self._clock))
 
     def idle(self) -> None:
-        """Between commands that are each answered by a step: no device renders a force for ever that came once."""
-        command = self.newest
-        if command is not None and not self.stale and not self._watch(command):
-            device = self._passive(self._silenced(), command)
-            self._outputs.device(device, self._clock.now().nanoseconds)
+        """Between commands that are each answered by a step: when the last is too old, the device gets no force."""
+        command, options = self.newest, self._outputs.options
+        if command is not None and not self.stale and not self._watch(command, options):
+            device = self._passive(self._silenced(), command, options)
+            self._outputs.device(device, time_of(self._clock))
 
     def _step(self, command: Command | None, stamp: int) -> None:
         """The first command ever places the finger; each later one moves it there."""
-        begin = time.perf_counter()
-        fresh = command is not None and self._watch(command)
+        begin, options = time.perf_counter(), self._outputs.options
+        fresh = command is not None and self._watch(command, options)
         newest = self.plane
         plane = newest if newest is not self._shifted else None
         self._shifted = newest
@@ -116,28 +119,27 @@ class Stepper:
             out = self.sim.step(None, plane)
         else:
             if self._followed is None:
-                self.sim.reset(command.pose)
+                self.sim.reset(command.pose, newest)
             out = self.sim.step(command.pose, plane)
         if self.budget is not None and self.budget.spent(time.perf_counter() - begin):
             self.sim.solve_with(on_rung(self.scene.solver, self.budget.rung))
-        device = self._rendered(out.device_wrench) if fresh else self._silenced()
+        device = self._rendered(out.device_wrench, options) if fresh else self._silenced()
         if command is not None:
-            device = self._passive(device, command)
-        self._outputs.step(self.sim, out, device, stamp)
+            device = self._passive(device, command, options)
+        self._outputs.step(self.sim, out, device, stamp, options)
         if command is not None and command is not self._followed:
             self._followed = command
             self.delay.add(time.monotonic() - command.received)
             self.transport.add(command.transport)
         self.window.add(out)
 
-    def _rendered(self, wrench: Floats) -> Floats:
+    def _rendered(self, wrench: Floats, options: NodeOptions) -> Floats:
         """What the device gets: scaled, ramped in, clamped; nothing where a number is not finite."""
-        options = self._outputs.options
         self._ramp = min(1.0, self._ramp + self.scene.dt / options.force_ramp) if options.force_ramp > 0.0 else 1.0
         scaled = device_wrench(self.scene.coupling, options.force_scale * self._ramp * wrench)
         return scaled if math.isfinite(sum(scaled.tolist())) else self._none
 
-    def _passive(self, wrench: Floats, command: Command) -> Floats:
+    def _passive(self, wrench: Floats, command: Command, options: NodeOptions) -> Floats:
         """The wrench as the port's account lets it pass; with `passivity` observe it passes as it is.
 
         The way back to the device is taken to be as long as the way here.
@@ -147,7 +149,7 @@ class Stepper:
         moved = displacement(before.pose, command.pose) if fresh and before is not None else NONE
         if fresh:
             self._delay = 2.0 * command.transport + time.monotonic() - command.received
-        port.controlled = self._outputs.options.passivity == "control"
+        port.controlled = options.passivity == "control"
         port.force_limit, port.torque_limit = limits.force_limit, limits.torque_limit
         sent = port.step(wrench.tolist(), moved, self._delay, fresh)
         return np.array(sent) if port.controlled else wrench
@@ -162,9 +164,10 @@ class Stepper:
         self.sim.reset()
         return self.sim.pose
 
-    def apply(self, changes: dict[str, Any]) -> None:
-        """Changes live values of the scene. Raises SceneError."""
+    def apply(self, changes: dict[str, Any], options: NodeOptions) -> None:
+        """Changes live values of the scene, and the node's options with them. Raises SceneError."""
         self.sim.apply(changes)
+        self._outputs.options = options
         self.scene = self.sim.scene
         self._take_budget()
 
@@ -173,9 +176,9 @@ class Stepper:
         milliseconds = self.scene.solver.budget_ms
         self.budget = Budget(1e-3 * milliseconds) if milliseconds is not None else None
 
-    def _watch(self, command: Command) -> bool:
+    def _watch(self, command: Command, options: NodeOptions) -> bool:
         """Whether the command is recent by the steady clock; says so when that changes."""
-        limit = self._outputs.options.command_timeout
+        limit = options.command_timeout
         age = time.monotonic() - command.received
         if self.stale != (age > limit):
             self.stale = not self.stale

@@ -5,15 +5,17 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, cast
 
 from ..errors import SceneError
-from ..physics.rotations import ZERO_NORM, normalised
+from ..physics.rotations import LONG_QUATERNION, SHORT_QUATERNION, Quaternion, unit
 
 Kind = Literal["float", "int", "bool", "text", "choice", "vec3", "quaternion", "limit3", "cells", "part"]
 T = TypeVar("T")
 
 INF = math.inf
+UNKNOWN_KEY = "no such key"
+"""How `SceneError.allowed` begins where the key is wrong, not its value."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Field:
             "text": "a text",
             "choice": " or ".join(self.choices),
             "vec3": f"three numbers, each {span}",
-            "quaternion": "four numbers x y z w, not all zero",
+            "quaternion": f"four numbers x y z w, of length {SHORT_QUATERNION:g} to {LONG_QUATERNION:g}",
             "limit3": f"a number {span}, or three of them (null on an axis: free)",
             "cells": f"three whole numbers, each {span}",
             "part": "a block of keys",
@@ -59,23 +61,26 @@ class Field:
         return parsed
 
     def _number(self, value: Any) -> float | None:
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not self.low <= value <= self.high:
             return None
-        return float(value) if math.isfinite(value) and self.low <= value <= self.high else None
+        try:
+            number = float(value)
+        except OverflowError:  # a whole number that no float holds
+            return None
+        return number if math.isfinite(number) else None
 
     def _numbers(self, value: Any, count: int) -> tuple[float, ...] | None:
-        if isinstance(value, str | bytes | Mapping) or not hasattr(value, "__iter__"):
+        value = unwrapped(value)
+        if not isinstance(value, list | tuple) or len(value) != count:
             return None
-        numbers = [self._number(item) for item in _plain(value)]
-        if len(numbers) != count or any(n is None for n in numbers):
-            return None
-        return tuple(n for n in numbers if n is not None)
+        numbers = tuple(n for n in (self._number(unwrapped(item)) for item in value) if n is not None)
+        return numbers if len(numbers) == count else None
 
     def _parse_float(self, value: Any, key: str) -> float | None:
-        return self._number(_plain(value))
+        return self._number(unwrapped(value))
 
     def _parse_int(self, value: Any, key: str) -> int | None:
-        number = self._number(_plain(value))
+        number = self._number(unwrapped(value))
         return int(number) if number is not None and number == int(number) else None
 
     def _parse_bool(self, value: Any, key: str) -> bool | None:
@@ -97,47 +102,33 @@ class Field:
         return tuple(int(n) for n in numbers)
 
     def _parse_quaternion(self, value: Any, key: str) -> tuple[float, ...] | None:
-        numbers = self._numbers(value, 4)
-        if numbers is None or math.hypot(*numbers) < ZERO_NORM:
-            return None
-        return normalised(numbers)
+        numbers = cast("Quaternion | None", self._numbers(value, 4))
+        return None if numbers is None else unit(numbers)
 
     def _parse_limit3(self, value: Any, key: str) -> tuple[float | None, ...] | None:
-        value = _plain(value)
+        value = unwrapped(value)
         items = [value] * 3 if value is None or isinstance(value, int | float) else value
         if not isinstance(items, list | tuple) or len(items) != 3:
             return None
-        for axis, item in enumerate(items, 1):
-            if item is not None and self._number(item) is None:
+        numbers = [None if item is None else self._number(unwrapped(item)) for item in items]
+        for axis, (item, number) in enumerate(zip(items, numbers, strict=True), 1):
+            if item is not None and number is None:
                 raise SceneError(f"{key}[e{axis}]", item, self.allowed)
-        return tuple(None if item is None else float(item) for item in items)
+        return tuple(numbers)
 
     def _parse_part(self, value: Any, key: str) -> Any:
         assert self.part is not None
         return parse_part(self.part, value, key)
 
 
-def _plain(value: Any) -> Any:
+def unwrapped(value: Any) -> Any:
     """NumPy scalars and arrays as Python numbers and lists; anything else as it is."""
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-def field(
-    kind: Kind,
-    doc: str,
-    *,
-    default: Any = dataclasses.MISSING,
-    unit: str = "",
-    low: float = -INF,
-    high: float = INF,
-    choices: tuple[str, ...] = (),
-    optional: bool = False,
-    live: bool = False,
-    part: type | None = None,
-) -> Any:
-    """A dataclass field that carries its `Field`."""
-    spec = Field(kind, doc, unit, low, high, choices, optional, live, part)
-    return dataclasses.field(default=default, metadata={"spec": spec})
+def field(kind: Kind, doc: str, *, default: Any = dataclasses.MISSING, **rules: Any) -> Any:
+    """A dataclass field that carries its `Field`, made of `kind`, `doc` and the `rules`: unit, low, high and so on."""
+    return dataclasses.field(default=default, metadata={"spec": Field(kind, doc, **rules)})
 
 
 def specs(cls: type) -> dict[str, Field]:
@@ -155,7 +146,7 @@ def parse_part(cls: type[T], data: Any, key: str = "") -> T:
     prefix = f"{key}." if key else ""
     for name in data:
         if name not in known:
-            raise SceneError(f"{prefix}{name}", data[name], f"no such key; known here: {', '.join(known)}")
+            raise SceneError(f"{prefix}{name}", data[name], f"{UNKNOWN_KEY}; known here: {', '.join(known)}")
     values = {}
     for f in dataclasses.fields(cls):  # type: ignore[arg-type]
         if f.name not in known:

@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import Floats, Ints
 from ..physics import locking
 from ..physics.locking import STRAINS
-from .scene import Limits, Material
+from .parts import Limits, Material
 
 
 def ends(limits: Limits) -> tuple[Floats, Floats]:

@@ -24,6 +24,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from finger_sim.errors import MeshError
+from finger_sim.plain import whole_file
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -123,7 +124,8 @@ class TetMesh:
             cell_data={"axes": [self.axes.reshape(-1, 9)]},
         )
         try:
-            meshio.write(path, mesh, file_format="vtu", binary=True, compression="zlib")
+            with whole_file(path) as file:
+                meshio.write(file, mesh, file_format="vtu", binary=True, compression="zlib")
         except OSError as error:
             raise MeshError(f"{path}: cannot be written: {error.strerror}") from error
 

@@ -1,182 +1,252 @@
 """A bag of commands through the simulator without a ROS graph: the same input makes the same bytes.
 
-No wall clock enters the output. Time counts from the first good command: step k ends at (k + 1) dt and is
-stamped with the bag's start plus that time, rounded to a nanosecond once, so stamps do not drift.
+No wall clock enters the output. Time counts from the first good command, or from the start of the window that was
+asked for: step k ends at (k + 1) dt and is stamped with the log time of that beginning plus this time, rounded to a
+nanosecond once, so stamps do not drift. Messages are read, and steps made, one at a time: memory does not grow with
+the length of the bag, but for the index of its chunks.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
-import numpy as np
-
-from ..bags import cdr
-from ..bags.layout import node_strain, pack_points, place, wrench_frame_id
-from ..bags.reader import BagReader, BagWriter, Message, PlanePoses, Qos, commands_of, plane_poses_of, require_absent
-from ..scene import Pose
+from ..bags.excerpt import Received, Tally, commands_in, plane_poses_in
+from ..bags.interrupts import deferred
+from ..bags.reader import LONGEST_SPAN_SECONDS, BagReader, BagWriter, require_absent
+from ..errors import BagError, FingerSimError
+from .costs import Costs
+from .follower import Follower, Newest
+from .replay_output import Copies, Output
+from .summary import Summary
 
 if TYPE_CHECKING:
-    from ..bags.reader import Commands
     from ..scene import Scene
-    from .simulator import Simulator, StepResult
+    from .simulator import Simulator
 
-MESH_RATE = 60
-"""Clouds of `mesh_points` a second of simulated time, at most one a step [Hz]."""
+STAMPS_END = 2**31 * 1_000_000_000
+"""Times from here on [ns] cannot be stamps of messages: their seconds have 32 bits."""
 
-FINGER_FRAME = "finger"
-
-Progress = Callable[[int, int], None]
+StepsDone = Callable[[int, int], None]
 """Called with the steps done and all there are."""
 
 
-@dataclass
-class Summary:
-    """What happened in a replay."""
+@dataclass(frozen=True)
+class Selection:
+    """What of a bag is simulated, and how.
 
-    out: Path
-    topic: str
-    commands: int
-    refused: int
-    """Commands left out: not finite, a zero quaternion, another frame."""
-    warning: str | None
-    """What was wrong with the bag of commands, if it was cut off."""
+    The window of `start` and `duration` counts as a bag of its own that holds what was received in it, ends included.
+    Its first command is the newest one received by its beginning, as if it came right then: it places the finger at
+    rest. The newest pose of the plane by then holds likewise.
+    """
+
+    topic: str | None = None
+    """Of the commands; see `bags.reader.read_commands`."""
     plane_topic: str | None = None
-    """Where the plane's poses came from, if there were any."""
-    plane_poses: int = 0
-    plane_refused: int = 0
-    """Poses of the plane left out: as commands are, or all, where the scene has no plane."""
-    steps: int = 0
-    duration: float = 0.0
-    """Simulated time [s]."""
-    wall: float = 0.0
-    """Time that the steps alone took [s]."""
-    step_median: float = 0.0
-    """[s]"""
-    step_p99: float = 0.0
-    """[s]"""
-    peak_force: float = 0.0
-    """Largest contact force [N]."""
-    peak_force_time: float = 0.0
-    """When it was reached [s]."""
-    limited_tets: int = 0
-    """Most tetrahedra at a limit in one step."""
-    max_strain_ratio: float = 0.0
-    """Largest strain / limit."""
-    max_penetration: float = 0.0
-    """[m]"""
-    status: dict[str, int] = field(default_factory=dict)
-    """Steps in which each status bit was set; empty when all went well."""
+    """Of the plane's poses; see `bags.reader.plane_poses_of`."""
+    mode: Literal["free", "triggered"] = "free"
+    """As the node's: steps on a clock, or one step for each command, stamped with its receipt."""
+    start: float = 0.0
+    """Beginning of the window, since the first good command [s]."""
+    duration: float | None = None
+    """Length of the window [s]; None: to the end of the bag."""
+
+
+class Replay:
+    """A bag to be simulated, read once from end to end: a mistake shows before kernels compile.
+
+    Raises BagError for a bag that cannot be read, and for a selection of what is not in it.
+    """
+
+    def __init__(self, scene: Scene, bag: str | Path, selection: Selection | None = None) -> None:
+        self.scene = scene
+        self.selection = selection or Selection()
+        self.reader = BagReader(bag)
+        self.commands, self.tally = commands_in(self.reader, self.selection.topic)
+        self.plane = plane_poses_in(self.reader, self.commands, self.selection.plane_topic)
+        self.plane_tally = self._plane_tally()
+        begin, end = self._window()
+        if begin is not None or end is not None:
+            self.commands = self.commands.cut(begin, end)
+            self.tally = self.commands.tally()
+            self.plane = self.plane and self.plane.cut(begin, end)
+            self.plane_tally = self._plane_tally()
+        self.start = self.tally.first
+        """Log time from which simulated time counts [ns]."""
+        self.steps = _steps(self._last() - self.start, scene.dt) if self._free else self.tally.good
+        """Steps to be made."""
+        if self._last() + _nanoseconds(1, scene.dt) >= STAMPS_END:
+            where = f"{self.reader.path}: topic {self.commands.topic}"
+            allowed = "allowed: below 2^31 s, as messages are stamped"
+            raise BagError(f"{where}: got a log time of {self._last() * 1e-9:.9g} s, {allowed}")
+        self.remains: str | None = None
+        """What is left of a run that did not come to its end."""
+
+    def run(self, out: str | Path, progress: StepsDone | None = None, *, simulator: Simulator | None = None) -> Summary:
+        """Simulates, and writes what the node would publish to the new bag `out`; see `run` of this module."""
+        require_absent(out)
+        if simulator is None:
+            from .simulator import Simulator
+
+            simulator = Simulator(self.scene)
+        summary = self._summary(out)
+        with deferred() as interrupt:
+            recording = BagWriter(out)
+            try:
+                self._simulate(simulator, recording, summary, progress, interrupt)
+                recording.close()
+            except BaseException as error:
+                self.remains = self._leave(recording, summary, error)
+                raise
+        return summary
+
+    def _simulate(
+        self,
+        simulator: Simulator,
+        recording: BagWriter,
+        summary: Summary,
+        progress: StepsDone | None,
+        interrupt: Callable[[], None],
+    ) -> None:
+        """Makes all steps, and records them beside the poses that they follow."""
+        output = Output(recording, self.start, self.commands.frame_id or "world")
+        copies = [Copies(self.commands, recording, "command_pose")]
+        if self.plane is not None:
+            copies.append(Copies(self.plane, recording, "plane_pose"))
+        output.topology(simulator)
+        follower = Follower(simulator, next(self.commands.poses()).pose, summary)
+        plane = Newest(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
+        costs = Costs()
+        for moment in self._moments():
+            place = plane.received_by(self.start + moment.begin)
+            clock = time.perf_counter()
+            result = follower.step(moment.command, place, answers=not self._free)
+            costs.add(time.perf_counter() - clock)
+            for copy in copies:
+                copy.up_to(self.start + moment.end)
+            if result is not None:
+                output.step(simulator, result, moment.end)
+                summary.count(result, moment.end)
+            if progress is not None:
+                progress(summary.steps, self.steps)
+            interrupt()
+        for copy in copies:
+            copy.up_to(None)
+        summary.duration, summary.wall = _nanoseconds(summary.steps, self.scene.dt) * 1e-9, costs.total
+        summary.step_median, summary.step_p99 = costs.percentile(50.0), costs.percentile(99.0)
 
     @property
-    def real_time_factor(self) -> float:
-        """Simulated time per time that the steps took."""
-        return self.duration / self.wall if self.wall > 0.0 else math.inf
+    def _free(self) -> bool:
+        return self.selection.mode == "free"
+
+    def _moments(self) -> Iterator[_Moment]:
+        """When steps begin and end, with the command that came for each."""
+        if not self._free:
+            for command in self.commands.poses():
+                at = command.log_time - self.start
+                yield _Moment(at, at, command)
+            return
+        newest = Newest(self.commands.poses())
+        begin = 0
+        for k in range(self.steps):
+            end = _nanoseconds(k + 1, self.scene.dt)
+            yield _Moment(begin, end, newest.received_by(self.start + begin))
+            begin = end
+
+    def _plane_tally(self) -> Tally:
+        """What there is of the plane's poses. Raises BagError when one is too far away from the commands."""
+        if self.plane is None:
+            return Tally(0, 0, 0, 0)
+        tally = self.plane.tally()
+        farthest = max(abs(time - self.tally.first) for time in (tally.first, tally.last)) * 1e-9 if tally.good else 0.0
+        if farthest > LONGEST_SPAN_SECONDS:
+            far = f"{farthest:.3g} s away from the first command, allowed: {LONGEST_SPAN_SECONDS:g} s"
+            raise BagError(f"{self.reader.path}: topic {self.plane.topic}: a log time is {far}")
+        return tally
+
+    def _last(self) -> int:
+        """Log time of the last pose that a step follows [ns]."""
+        moves = self._free and self.scene.plane is not None and self.plane_tally.good
+        return max(self.tally.last, self.plane_tally.last) if moves else self.tally.last
+
+    def _window(self) -> tuple[int | None, int | None]:
+        """Log times [ns] of its beginning and end, None for those of the bag. Raises BagError if it is not in it."""
+        start, duration, first, last = self.selection.start, self.selection.duration, self.tally.first, self._last()
+        begin = first + round(start * 1e9) if math.isfinite(start) else -1
+        if not first <= begin <= last:
+            allowed = f"allowed: 0 to {(last - first) * 1e-9:.9g} s, where its commands end"
+            raise BagError(f"{self.reader.path}: start: got {start:.9g} s, {allowed}")
+        if duration is None:
+            return begin if start else None, None
+        end = begin + round(duration * 1e9) if math.isfinite(duration) else -1
+        if not begin < end <= last:
+            allowed = f"allowed: more than 0, up to {(last - begin) * 1e-9:.9g} s, where its commands end"
+            raise BagError(f"{self.reader.path}: duration: got {duration:.9g} s from {start:.9g} s on, {allowed}")
+        return begin if start else None, end
+
+    def _summary(self, out: str | Path) -> Summary:
+        """What is known before the first step."""
+        tally, plane = self.tally, self.plane_tally
+        summary = Summary(Path(out), self.commands.topic, tally.good, tally.refused, self.reader.warning)
+        if self.plane is not None:
+            summary.plane_topic = self.plane.topic
+            summary.plane_poses = plane.good if self.scene.plane is not None else 0
+            summary.plane_refused = plane.refused + plane.good - summary.plane_poses
+        return summary
+
+    def _leave(self, recording: BagWriter, summary: Summary, error: BaseException) -> str:
+        """Finishes the bag of a run that ends here, or removes it if nothing was simulated; what is left, in words."""
+        if summary.steps:
+            with contextlib.suppress(BagError):
+                recording.cut(f"{_cause(error)} after {summary.steps} of {self.steps} steps")
+                left = recording.counts["/pose"]  # a full disk takes some back
+                return f"{summary.out}: cut after {left} of {self.steps} steps, readable up to there"
+        recording.discard()
+        return f"{summary.out}: removed, as nothing in it could be used"
 
 
 def run(
     scene: Scene,
     bag: str | Path,
     out: str | Path,
-    topic: str | None = None,
-    progress: Progress | None = None,
+    selection: Selection | None = None,
+    progress: StepsDone | None = None,
     *,
     simulator: Simulator | None = None,
-    plane_topic: str | None = None,
-    mode: Literal["free", "triggered"] = "free",
 ) -> Summary:
     """Simulates the commands of `bag` and writes what the node would publish to the new bag `out`.
 
     The newest command received up to the beginning of a step holds during it; the first one places the finger
     at rest. Poses of the plane in the bag move it likewise, from the newest before the first command on. The last
-    step is the one that follows the last of all these. Both are
-    copied as they were read, those that are refused too: replayed, `out` gives itself.
+    step is the one that follows the last of all these. Both are copied as they were read, those that are refused
+    too: replayed, `out` gives itself. A pose that the simulator refuses counts as refused; the one before it holds.
     A bag that the node recorded from its first command on gives the live wrench back but for where steps begin:
     what is live at a time is here within two steps of it. Of one that began later the history is not known.
     In mode triggered, as the node's, there is one step for each command, stamped with its receipt: what the node
     recorded in that mode from its first command on comes back bit by bit (but for when a moving plane's poses came).
 
-    topic       : of the commands; see `bags.read_commands`
-    progress    : called after every step
-    simulator   : of this scene, instead of a new one
-    plane_topic : of the plane's poses; see `bags.plane_poses_of`
-    mode        : free or triggered
-    Raises BagError for a bag that cannot be read or made, and what Simulator raises; what was simulated by
-    then stays readable in `out`.
+    selection : what of the bag is simulated, and in which mode; all, and free, if left out
+    progress   : called after every step
+    simulator : of this scene, instead of a new one
+    Raises BagError for a bag that cannot be read or made and for a selection that is not in it, and what Simulator
+    raises. SIGINT and SIGTERM take effect between two steps. Whatever ends it before its end leaves a finished bag
+    of the steps made by then, with the reason in its metadata; where there are none, no bag.
     """
     require_absent(out)
-    reader = BagReader(bag)
-    commands = commands_of(reader, topic)
-    frame = commands.frame_id or "world"
-    summary = Summary(Path(out), commands.topic, len(commands), commands.refused, commands.warning)
-    poses = _poses(commands)
-    plane = plane_poses_of(reader, commands, plane_topic)
-    places: list[Pose] = []
-    if plane is not None:
-        if scene.plane is not None:
-            places = _poses(plane)
-        summary.plane_topic, summary.plane_poses = plane.topic, len(places)
-        summary.plane_refused = plane.refused + len(plane) - len(places)
-    if mode == "free":
-        last = max(int(commands.receipt_ns[-1]), int(plane.receipt_ns[-1]) if plane is not None and places else 0)
-        ends = [_nanoseconds(k + 1, scene.dt) for k in range(_steps(last, scene.dt))]
-        begins = [0, *ends[:-1]]
-        followed = [poses[i] for i in np.searchsorted(commands.receipt_ns, begins, side="right") - 1]
-    else:
-        ends = begins = commands.receipt_ns.tolist()
-        followed = poses
-    if simulator is None:
-        from .simulator import Simulator
-
-        simulator = Simulator(scene)
-    with BagWriter(out) as recording:
-        write = _Output(recording, commands.start, frame)
-        copies = [_Copies(reader.messages([commands.topic]), recording, "command_pose")]
-        if plane is not None:
-            copies.append(_Copies(reader.messages([plane.topic]), recording, "plane_pose"))
-        write.topology(simulator)
-        simulator.reset(poses[0])
-        before = placed = 0
-        costs = np.empty(len(ends))
-        bits: Counter[str] = Counter()
-        for k, (begin, end, pose) in enumerate(zip(begins, ends, followed, strict=True)):
-            due = placed
-            while plane is not None and due < len(places) and plane.receipt_ns[due] <= begin:
-                due += 1
-            place_now, placed = places[due - 1] if due > placed else None, due
-            clock = time.perf_counter()
-            result = simulator.step(pose, place_now)
-            costs[k] = time.perf_counter() - clock
-            for copy in copies:
-                copy.up_to(commands.start + end)
-            write.step(result, end)
-            if before * MESH_RATE // 1_000_000_000 < end * MESH_RATE // 1_000_000_000 or k == 0:
-                write.points(simulator, result, end)
-            _count(summary, bits, result, end)
-            before = end
-            if progress is not None:
-                progress(k + 1, len(ends))
-        for copy in copies:
-            copy.up_to(None)
-    summary.steps, summary.duration = len(ends), _nanoseconds(len(ends), scene.dt) * 1e-9
-    summary.wall = float(costs.sum())
-    summary.step_median, summary.step_p99 = (float(v) for v in np.percentile(costs, (50, 99)))
-    summary.status = dict(bits)
-    return summary
+    return Replay(scene, bag, selection).run(out, progress, simulator=simulator)
 
 
-def _poses(recorded: Commands | PlanePoses) -> list[Pose]:
-    return [
-        Pose(position=(px, py, pz), orientation=(qx, qy, qz, qw))
-        for (px, py, pz), (qx, qy, qz, qw) in zip(
-            recorded.position.tolist(), recorded.orientation.tolist(), strict=True
-        )
-    ]
+class _Moment(NamedTuple):
+    """A step: when it begins and ends [ns], and the command that came for it, if one did."""
+
+    begin: int
+    end: int
+    command: Received | None
 
 
 def _steps(last: int, dt: float) -> int:
@@ -192,68 +262,8 @@ def _nanoseconds(k: int, dt: float) -> int:
     return round(k * dt * 1e9)
 
 
-def _count(summary: Summary, bits: Counter[str], result: StepResult, end: int) -> None:
-    """Takes the result of a step into the summary."""
-    force = float(np.linalg.norm(result.contact_wrench[:3]))
-    if force > summary.peak_force:
-        summary.peak_force, summary.peak_force_time = force, end * 1e-9
-    summary.limited_tets = max(summary.limited_tets, int(result.limited_tets))
-    summary.max_strain_ratio = max(summary.max_strain_ratio, float(result.max_strain_ratio))
-    summary.max_penetration = max(summary.max_penetration, float(result.max_penetration))
-    bits.update(bit.name or str(bit.value) for bit in result.status)
-
-
-class _Copies:
-    """Copies the poses of one topic to another of the recording in step with the simulation."""
-
-    def __init__(self, messages: Iterator[Message], recording: BagWriter, topic: str) -> None:
-        self.messages = messages
-        self.recording = recording
-        self.next = next(messages, None)
-        self.topic = recording.add_topic(topic, cdr.POSE_STAMPED)
-
-    def up_to(self, log_time: int | None) -> None:
-        """Copies what was received until then [ns], or all that is left."""
-        while self.next is not None and (log_time is None or self.next.log_time <= log_time):
-            message = self.next
-            number = message.sequence or None
-            self.recording.write(self.topic, message.data, message.log_time, message.publish_time, sequence=number)
-            self.next = next(self.messages, None)
-
-
-class _Output:
-    """Writes results as messages, stamped and logged at `start` plus the simulated time [ns]."""
-
-    def __init__(self, recording: BagWriter, start: int, frame: str) -> None:
-        self.recording, self.start, self.frame = recording, start, frame
-        self.wrench_frame = wrench_frame_id("world_aligned", FINGER_FRAME, frame)
-        recording.add_topic("contact_wrench", cdr.WRENCH_STAMPED)
-        recording.add_topic("device_wrench", cdr.WRENCH_STAMPED)
-        recording.add_topic("pose", cdr.POSE_STAMPED)
-        recording.add_topic("mesh_points", cdr.POINT_CLOUD)
-        recording.add_topic("mesh_topology", cdr.MESH, qos=Qos(depth=1, transient_local=True))
-
-    def topology(self, simulator: Simulator) -> None:
-        """The surface at rest: its triangles index the nodes of the mesh, as points of `mesh_points` do."""
-        mesh = simulator.mesh
-        self.recording.write("mesh_topology", cdr.mesh(mesh.points, mesh.surface), self.start)
-
-    def step(self, result: StepResult, end: int) -> None:
-        """Wrenches and pose of one step."""
-        stamp, pose = self.start + end, result.pose
-        for topic, wrench in (
-            ("contact_wrench", result.contact_wrench),
-            ("device_wrench", result.device_wrench),
-        ):
-            self.recording.write(topic, cdr.wrench_stamped(stamp, self.wrench_frame, wrench), stamp)
-        data = cdr.pose_stamped(stamp, self.frame, pose.position, pose.orientation)
-        self.recording.write("pose", data, stamp)
-
-    def points(self, simulator: Simulator, result: StepResult, end: int) -> None:
-        """The deformed nodes."""
-        mesh = simulator.mesh
-        strain = node_strain(simulator.strain_ratio, mesh.tets, len(mesh.points))
-        rest = place(mesh.points, result.pose)
-        points = pack_points(simulator.positions, rest, simulator.contact_forces, strain)
-        stamp = self.start + end
-        self.recording.write("mesh_points", cdr.point_cloud(stamp, self.frame, points), stamp)
+def _cause(error: BaseException) -> str:
+    """Why a run ended, in few words."""
+    if isinstance(error, KeyboardInterrupt | SystemExit):
+        return "interrupted"
+    return str(error) if isinstance(error, FingerSimError) else f"{type(error).__name__}: {error}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,66 +11,29 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import Floats
-from ..bags.layout import place
 from ..errors import SceneError
-from ..haptics.coupling import CommandSpeed, between, device_wrench, follow, set_down, spring_wrench, stop_at_plane
-from ..haptics.plane_motion import PlaneMotion
+from ..haptics.coupling import device_wrench, set_down, spring_wrench
 from ..physics import step as stepping
 from ..physics.clock import STAGES
 from ..physics.compile import compiled_before
-from ..physics.contact import plane_frame
 from ..physics.ready import advance, measure_strains, ready, refresh
-from ..physics.rotations import ZERO_NORM, matrix, normalised
+from ..physics.rotations import matrix
 from ..physics.step import Status
 from ..physics.work import WORK
 from ..physics.workspace import build_state
-from ..scene import Pose, Scene, Solver, Vec3
-from ..scene.fields import specs
+from ..scene import Pose, Scene, Solver, Vec3, checked_pose, place
 from ..scene.mesh import TetMesh
 from .build import build_model, with_live_values
+from .drive import Drive
+from .ground import Ground
+from .guard import Guard, Verdict
+from .result import StepResult
 
-Progress = Callable[[str], None]
+Tell = Callable[[str], None]
+"""Takes short texts on what is going on."""
 
-MOST_REJECTIONS, TORN = 20, 30.0
-"""Steps rejected in a row, and distance from the finger frame's origin over that at rest, that restore a body."""
-RAGING, RAGING_TIME = 20.0, 0.25
-"""Speed in tetrahedra's sizes a second, and time under a command that holds [s], that restore a strained body."""
-_POSE = specs(Pose)
-_FARTHEST = _POSE["position"].high
-_REJECTED = int(Status.STEP_REJECTED)
-_INVERTED, _RESTORED = int(Status.INVERTED), int(Status.RESTORED)
-_STRAINED = int(Status.INVERTED | Status.LIMIT_EXCEEDED)
-_UNSETTLED = int(Status.STEP_REJECTED | Status.COMMAND_LIMITED)
-STILL, STILL_TIME = 1e-7, 0.01
-"""A body sleeps when for so long [s] no node was faster than this part of the tetrahedra's size a second."""
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class StepResult:
-    """What one step gives. Wrenches are of the plane on the finger, world axes, about the finger frame's origin."""
-
-    time: float  # end of the step [s]
-    contact_wrench: Floats  # (6,) force [N] and torque [N m]
-    device_wrench: Floats  # (6,) what a device is to render: clamped
-    pose: Pose  # the simulated finger frame, world
-    iterations: int  # solver sweeps
-    residual: float  # see Solver.tolerance
-    status: Status  # 0: all well
-    limited_tets: int  # tetrahedra held by at least one limit
-    limit_rows: int  # limit rows that carry a force
-    locked_tets: int  # tetrahedra at a limit that are over-constrained: see locking.py
-    max_strain_ratio: float  # largest strain/limit, 1: exactly at the limit; 0 without limits
-    contacts: int  # nodes that carry a contact force
-    max_penetration: float  # deepest surface node [m], 0 when none
-    asleep: bool = False  # nothing moved and nothing changed: the step was not computed
-
-    def later(self, time: float) -> StepResult:
-        """The same of a body asleep, at another time."""
-        return StepResult(
-            time, self.contact_wrench.copy(), self.device_wrench.copy(), self.pose, 0, self.residual, self.status,
-            self.limited_tets, self.limit_rows, self.locked_tets, self.max_strain_ratio, self.contacts,
-            self.max_penetration, True,
-        )  # fmt: skip
+_WHERE_PLANES_ARE = {"plane.point", "plane.normal"}
+_REJECTED, _RESTORED = int(Status.STEP_REJECTED), int(Status.RESTORED)
 
 
 class Simulator:
@@ -83,7 +45,7 @@ class Simulator:
     Raises MeshError when the scene's mesh cannot be used.
     """
 
-    def __init__(self, scene: Scene, progress: Progress | None = None, *, timed: bool = False) -> None:
+    def __init__(self, scene: Scene, progress: Tell | None = None, *, timed: bool = False) -> None:
         tell = progress or (lambda text: None)
         self.scene = scene
         self.mesh: TetMesh = scene.load_mesh()
@@ -91,22 +53,22 @@ class Simulator:
         self._model = build_model(scene, self.mesh)
         self._state = build_state(self._model, self.mesh.points, timed)
         self._ready = ready(self._model, self._state)
-        self._plane = _plane_of(scene)
-        self._motion = PlaneMotion()
         self._rest_driven = self.mesh.points[self._model.driven]
-        self._centre = tuple(self._rest_driven.mean(axis=0).tolist()) if len(self._rest_driven) else (0.0, 0.0, 0.0)
         self._turned_by, self._turned_driven = Pose().orientation, self._rest_driven
         self._driven = scene.driven is not None
         self._yields = scene.coupling.type == "virtual"
-        self._command = self._given = self._target = self.pose = scene.initial_pose
-        self._speed = CommandSpeed()
-        self._still = STILL * self._model.length
-        self._torn = TORN * float(np.linalg.norm(self.mesh.points, axis=1).max())
-        self._raging = RAGING * self._model.length
-        self._rejections = 0
+        x, y, z = self._rest_driven.mean(axis=0).tolist() if self._driven else (0.0, 0.0, 0.0)
+        self._centre: Vec3 = (x, y, z)
+        self._given = self.pose = scene.initial_pose
+        self._drive = Drive(self.pose, self._centre if self._driven else None, self._yields)
+        self._ground = Ground(scene.plane) if scene.plane is not None else None
+        self._guard = Guard(
+            self._model.length, float(np.linalg.norm(self.mesh.points, axis=1).max()),
+            driven=self._driven, sleeps=scene.solver.sleep,
+        )  # fmt: skip
+        self._asleep: StepResult | None = None  # what the body gave when it fell asleep
         self._was_set_down = False
-        self._asleep: StepResult | None = None
-        self._still_since = self._raging_since = self._steps = 0
+        self._steps = 0
         self._timed = timed
         if compiled_before():
             tell("loading compiled kernels")
@@ -119,81 +81,93 @@ class Simulator:
     def step(self, command: Pose | None = None, plane: Pose | None = None) -> StepResult:
         """Advance by `scene.dt` towards `command`; None holds the last one. A free body takes no command.
 
-        plane: where the plane is wanted from now on, as the x-y plane of a pose (see PlaneMotion); None: as before.
+        plane: where the plane is wanted from now on, as the x-y plane of a pose (see Ground); None: as before.
 
-        Raises SceneError when a pose is not finite or its quaternion is zero, or when the scene has no plane to move;
+        Raises SceneError when a pose is refused (see checked_pose), or when the scene has no plane to move;
         the state is then unchanged.
         """
-        if plane is not None:
-            if self._plane is None:
-                raise SceneError("plane", None, "a scene with a plane, to move it")
-            plane = _checked(plane, "plane")
-        if self._asleep is not None:
-            if plane is None and (command is None or command == self._given):
-                self._steps += 1
-                return self._asleep.later(self._steps * self.scene.dt)
-            self._asleep = None
-        if command is not None:
-            self._command, self._given = _checked(command), command
-        scene, state = self.scene, self._state
-        shifts = self._motion.step(plane, scene.coupling, scene.dt)
+        command, plane = self._taken(command, plane)
+        scene, drive, ground = self.scene, self._drive, self._ground
+        self._steps += 1
+        shifts = ground is not None and ground.advance(plane, scene.coupling, scene.dt)
         if shifts:
-            self._plane = self._motion.surface()
             self._set_down()
-        start, limited = self._target if self._yields else self.pose, False
-        end = start
-        if self._driven:
-            end, limited = follow(scene.coupling, start, self._command, scene.dt)
-            if self._plane is not None and end is not start and not self._yields:
-                end, stopped = stop_at_plane(*self._plane, self._centre, start, end)
-                limited |= stopped
-        self._target = end
-        moves = end != start or shifts
-        if self._yields:
-            state.target[7:13] = self._speed.step(start, end, scene.dt)
-            state.target[13] = moves
-            moves |= bool(state.target[7:13].any())
-        h = scene.dt / scene.substeps
-        status, iterations, residual = int(Status.COMMAND_LIMITED) if limited else 0, 0, 0.0
+        moves = drive.advance(command, scene.coupling, ground.surface if ground else None, scene.dt) or shifts
+        slept = self._guard.slept
+        if not self._guard.advance(moves) and self._asleep is not None:
+            return self._asleep.later(self.time)
+        if slept:
+            self._state.held[0] += slept * scene.dt
+        self._state.moves[0] = moves
+        status, iterations, residual = int(Status.COMMAND_LIMITED) if drive.limited else 0, 0, 0.0
         if self._was_set_down:
             status |= _RESTORED
             self._was_set_down = False
         for substep in range(1, scene.substeps + 1):
-            before, after = self.pose, between(start, end, substep / scene.substeps)
-            if shifts:
-                self._plane = self._motion.surface(substep / scene.substeps)
-                self._place_plane()
-                state.plane_motion[:] = self._motion.twist
-            if self._yields:
-                state.target[:7] = *after.position, *after.orientation
-            else:
-                self.pose = after
-                state.origin[:] = after.position
-            if self._timed:
-                state.laps[len(STAGES)] = time.perf_counter()  # the same clock as compiled code's
-            advance(self._ready, self._rest_driven if self._yields else self._targets(), h)
-            result = state.result.tolist()
-            came = int(result[stepping.STATUS])
-            if came & _REJECTED:
-                self._move_rigidly(before, self.pose, h)
-            elif self._yields:
-                self.pose = _pose_of(state.bone[:7].tolist())
-            self._rejections = self._rejections + 1 if came & _REJECTED else 0
-            if self._rejections >= MOST_REJECTIONS or self._torn_apart(result, h):
-                self._restore()
-                came |= _RESTORED
-            status |= came
+            result = self._substep(substep / scene.substeps, shifts)
+            status |= int(result[stepping.STATUS])
             iterations += int(result[stepping.ITERATIONS])
             residual = max(residual, result[stepping.RESIDUAL])
-        self._steps += 1
+        out = self._report(status, iterations, residual, result)
+        match self._guard.judge(status, result, moves, scene.dt):
+            case Verdict.SLEEPS:
+                self._asleep = out
+                self._state.v[:] = 0.0
+            case Verdict.RESTORED:
+                self._restore()
+                out = dataclasses.replace(out, status=out.status | Status.RESTORED)
+        return out
+
+    def _taken(self, command: Pose | None, plane: Pose | None) -> tuple[Pose | None, Pose | None]:
+        """Both with unit quaternions, None where there is nothing new. Raises SceneError; nothing has changed then."""
+        if plane is not None:
+            if self._ground is None:
+                raise SceneError("plane", None, "a scene with a plane, to move it")
+            plane = checked_pose(plane, "plane")
+        if command is None or command is self._given or (self._guard.asleep and command == self._given):
+            return None, plane
+        self._given, command = command, checked_pose(command, "command")
+        return command, plane
+
+    def _substep(self, part: float, shifts: bool) -> list[float]:
+        """Advance by the substep that ends after a part of the step; State.result, with RESTORED in its status."""
+        scene, state, drive = self.scene, self._state, self._drive
+        h = scene.dt / scene.substeps
+        before, wanted = self.pose, drive.at(part)
+        if shifts and self._ground is not None:
+            self._ground.write(state, part, moving=True)
+        if self._yields:
+            state.target[:7] = *wanted.position, *wanted.orientation
+            state.target[7:] = drive.velocity
+        else:
+            if self._driven:
+                self.pose = wanted
+            state.origin[:] = self.pose.position
+        if self._timed:
+            state.laps[len(STAGES)] = time.perf_counter()  # the same clock as compiled code's
+        advance(self._ready, self._rest_driven if self._yields else self._targets(), h)
+        result: list[float] = state.result.tolist()
+        status = int(result[stepping.STATUS])
+        if status & _REJECTED:
+            self._move_rigidly(before, self.pose, h)
+        elif self._yields:
+            self.pose = _pose_of(state.bone[:7].tolist())
+        if self._guard.broken(status, result, h):
+            self._restore()
+            result[stepping.STATUS] = status | _RESTORED
+        return result
+
+    def _report(self, status: int, iterations: int, residual: float, result: list[float]) -> StepResult:
+        """What a step gives, from State.result of its last substep and what all of them came to."""
+        state = self._state
         wrench = state.wrench.copy()
         if not self._driven:
             self.pose = self._best_fit()
             wrench[3:] += np.cross(state.origin - np.array(self.pose.position), wrench[:3])
-        out = StepResult(
+        return StepResult(
             time=self.time,
             contact_wrench=wrench,
-            device_wrench=device_wrench(scene.coupling, self._felt(wrench)),
+            device_wrench=device_wrench(self.scene.coupling, self._felt(wrench)),
             pose=self.pose,
             iterations=iterations,
             residual=residual,
@@ -205,29 +179,19 @@ class Simulator:
             contacts=int(result[stepping.CONTACTS]),
             max_penetration=result[stepping.PENETRATION],
         )
-        raging = status & _STRAINED and out.contacts == 0 and result[stepping.SPEED] > self._raging
-        if not raging or moves:
-            self._raging_since = self._steps
-        elif (self._steps - self._raging_since) * scene.dt >= RAGING_TIME:
-            self._restore()
-            return dataclasses.replace(out, status=Status(status | _RESTORED))
-        if result[stepping.SPEED] > self._still or moves or status & _UNSETTLED:
-            self._still_since = self._steps
-        elif status & _INVERTED and out.contacts == 0:
-            if (self._steps - self._still_since) * scene.dt >= STILL_TIME:
-                self._restore()
-                return dataclasses.replace(out, status=Status(status | _RESTORED))
-        elif scene.solver.sleep and (self._steps - self._still_since) * scene.dt >= STILL_TIME:
-            self._asleep = out
-            state.v[:] = 0.0
-        return out
 
-    def reset(self, pose: Pose | None = None) -> None:
-        """Back to rest at `pose` (default: the last command), at time 0; a bone that yields not past the plane."""
-        if pose is not None:
-            self._command = _checked(pose)
-        self.pose = self._target = self._command
-        self._speed = CommandSpeed()
+    def reset(self, pose: Pose | None = None, plane: Pose | None = None) -> None:
+        """Back to rest at `pose` (default: the last command), at time 0; a bone that yields not past the plane.
+
+        plane: where the plane rests, as in `step`; None: where it was last wanted.
+
+        Raises SceneError as `step` does; nothing has changed then.
+        """
+        pose, plane = self._taken(pose, plane)
+        if self._ground is not None:
+            self._ground.arrive(plane)
+        self._drive.rest(pose or self._drive.command)
+        self.pose = self._drive.end
         self._steps = 0
         self._restore()
         self._set_down()
@@ -255,25 +219,25 @@ class Simulator:
         state.coupling[:] = 0.0
         state.bone[:] = (*self.pose.position, *self.pose.orientation) * 2
         state.origin[:] = self.pose.position
-        self._place_plane()
-        self._wake()
+        if self._ground is not None:
+            self._ground.write(state)
+        self._guard.wake()
         state.age[0] = state.held_tets[0] = 0
         refresh(self._ready)
 
     def apply(self, values: Mapping[str, Any]) -> None:
         """Change live values of the scene (dotted keys, e.g. {"plane.friction": 0.3}) between two steps.
 
+        A plane goes to another place as to a target of `step`, in a tenth of a second; `reset` puts it there.
         All or none. Raises SceneError when one is out of range, or needs a new Simulator.
         """
         live = {p.name for p in self.scene.parameters() if p.spec.live}
         for key, value in values.items():
             if key not in live:
                 raise SceneError(key, value, f"values that may change while running: {', '.join(sorted(live))}")
-        before, self.scene = self.scene.plane, self.scene.with_values(values)
-        after = self.scene.plane
-        if before and after and (before.point, before.normal) != (after.point, after.normal):
-            self._plane, self._motion = _plane_of(self.scene), PlaneMotion()
-            self._set_down()
+        self.scene = self.scene.with_values(values)
+        if self._ground is not None and self.scene.plane is not None and values.keys() & _WHERE_PLANES_ARE:
+            self._ground.move(self.scene.plane)
         self._use(self.scene)
 
     def solve_with(self, solver: Solver) -> None:
@@ -327,29 +291,15 @@ class Simulator:
     def _use(self, scene: Scene) -> None:
         """The live values of a scene."""
         self._model = with_live_values(self._model, scene)
-        self._place_plane()
         self._state.age[0] = 0
-        self._wake()
+        self._guard.wake()
         self._ready = ready(self._model, self._state)
-
-    def _place_plane(self) -> None:
-        """The plane where it is now, at rest."""
-        if self._plane is not None:
-            normal, point = self._plane
-            self._state.plane_frame[:], self._state.plane_point[:] = plane_frame(np.array(normal)), point
-        self._state.plane_motion[:] = 0.0
-        self._state.clearance[0] = -1.0
 
     def _felt(self, contact_wrench: Floats) -> Floats:
         """What a device is to render, before its limits: the coupling's wrench on it, or that of the plane."""
         if self._yields:
-            return spring_wrench(self._state.coupling, self.pose, self._target)
+            return spring_wrench(self._state.coupling, self.pose, self._drive.end)
         return contact_wrench
-
-    def _wake(self) -> None:
-        """Compute the next step, whatever the command."""
-        self._asleep = None
-        self._still_since = self._raging_since = self._steps
 
     def _targets(self) -> Floats:
         """Where the driven nodes are to be, (nd, 3) [m], at self.pose; the turned rest nodes are kept for the next."""
@@ -368,25 +318,16 @@ class Simulator:
         moved = (self.positions - np.array(before.position)) @ turn.T + np.array(after.position)
         self.set_state(moved, (moved - self.positions) / h)
 
-    def _torn_apart(self, result: list[float], h: float) -> bool:
-        """Whether a node is beyond TORN; a free body's frame is that of the step before."""
-        lag = 0.0 if self._driven else h * result[stepping.SPEED]
-        return result[stepping.REACH] > self._torn + lag
-
     def _restore(self) -> None:
-        """Undeformed and at rest where the bone is: what else is left to a body that is beyond repair.
-
-        After MOST_REJECTIONS in a row, torn to TORN times its size, at rest with a tetrahedron inside out, or raging:
-        strained beyond its limits or inside out, and not coming to rest, with nothing that holds it so.
-        """
-        self._rejections = 0
+        """Undeformed and at rest where the bone is: what else is left to a body that is beyond repair (see Guard)."""
+        self._guard.restored()
         positions = place(self.mesh.points, self.pose)
         self.set_state(positions, np.zeros_like(positions))
 
     def _set_down(self) -> None:
         """A bone that yields and finds itself past the plane goes to rest on it; the next step's status says so."""
-        if self._yields and self._plane is not None:
-            there = set_down(*self._plane, self._centre, self.mesh.points, self.pose)
+        if self._yields and self._ground is not None:
+            there = set_down(*self._ground.surface, self._centre, self.mesh.points, self.pose)
             if there is not self.pose:
                 self.pose = there
                 self._restore()
@@ -416,28 +357,10 @@ class Simulator:
         measure_strains(self._ready)
 
 
-def _checked(pose: Pose, name: str = "command") -> Pose:
-    """The pose with a unit quaternion. Raises SceneError when it cannot be one."""
-    position, orientation = pose.position, pose.orientation
-    if not max(map(abs, position)) <= _FARTHEST or not all(map(math.isfinite, position)):
-        raise SceneError(f"{name}.position", position, _POSE["position"].allowed)
-    if not all(map(math.isfinite, orientation)) or math.hypot(*orientation) < ZERO_NORM:
-        raise SceneError(f"{name}.orientation", orientation, _POSE["orientation"].allowed)
-    return Pose(position, normalised(orientation))
-
-
 def _pose_of(numbers: list[float]) -> Pose:
     """The pose of position and unit quaternion, seven numbers."""
     x, y, z, qx, qy, qz, qw = numbers
     return Pose((x, y, z), (qx, qy, qz, qw))
-
-
-def _plane_of(scene: Scene) -> tuple[Vec3, Vec3] | None:
-    """Unit normal and a point of the scene's plane, as plain numbers."""
-    if scene.plane is None:
-        return None
-    x, y, z = scene.plane.unit_normal.tolist()
-    return (x, y, z), scene.plane.point
 
 
 def _read_only(array: Floats) -> Floats:

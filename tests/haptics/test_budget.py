@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from cases import for_each
 
 from finger_sim import Scene, Simulator
 from finger_sim.haptics.budget import LADDER, MOST_PATIENCE, PATIENCE, WINDOW, Budget, on_rung
@@ -79,7 +79,7 @@ def test_patience_comes_back_after_a_calm_time() -> None:
     assert budget._patience == PATIENCE
 
 
-@pytest.mark.parametrize("rung", range(len(LADDER)))
+@for_each("rung", range(len(LADDER)))
 def test_rungs_never_ask_for_more_than_the_scene(rung: int) -> None:
     """Coarser, fewer iterations; `pgs` and a relinearised `newton` keep their level."""
     for method in ("pgs", "newton"):

@@ -13,12 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import for_each
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from finger_sim import Pose, Scene, Simulator
 from finger_sim.haptics.coupling import displacement
-from finger_sim.haptics.passivity import FORGIVING, LET_GO, LONGEST, Port, stable_stiffness
+from finger_sim.haptics.passivity import FORGIVING, LET_GO, MOST_PERIODS, Control, Port, stable_stiffness
 
 PERIOD, SUBSTEPS = 1e-3, 10
 LIMIT, TORQUE_LIMIT = 10.0, 0.5
@@ -159,7 +160,7 @@ def loop(
 
 
 def controlled(**settings: float) -> Port:
-    return Port(PERIOD, True, allowance=ALLOWANCE, force_limit=LIMIT, torque_limit=TORQUE_LIMIT, **settings)
+    return Port(PERIOD, True, Control(ALLOWANCE, **settings), force_limit=LIMIT, torque_limit=TORQUE_LIMIT)
 
 
 def halves(delay: float) -> tuple[float, float]:
@@ -212,8 +213,8 @@ def test_motion_between_poses() -> None:
     assert displacement(a, a) == (0.0,) * 6
 
 
-@pytest.mark.parametrize("control", [False, True])
-@pytest.mark.parametrize("delay", [0.0, 1e-3, 5e-3, 10e-3, 20e-3])
+@for_each("control", [False, True])
+@for_each("delay", [0.0, 1e-3, 5e-3, 10e-3, 20e-3])
 def test_the_account_is_the_energy_at_the_device(delay: float, control: bool) -> None:
     """To rounding for delays of whole periods, whatever their split: as it was when the pose that came was sampled."""
     port = controlled()
@@ -280,7 +281,7 @@ def test_a_stiff_wall_rings_and_with_the_controller_does_not(name: str, delay: f
     assert port.dissipated > 0.0
 
 
-@pytest.mark.parametrize("delay", [0.0, 1e-3])
+@for_each("delay", [0.0, 1e-3])
 def test_a_passive_loop_is_left_alone(delay: float) -> None:
     """Pressed, held, shaken and let go of: the wrench goes through bit by bit, and nothing leaks."""
     way = lambda time: (0.0, 0.0, 0.004 - 0.02 * math.sin(math.pi * min(time, 1.0)) ** 2, 0.0, 0.0, 0.0)  # noqa: E731
@@ -304,7 +305,7 @@ def test_only_the_observer_does_not_touch_the_wrench() -> None:
     assert (port.factor, port.damping) == (1.0, 0.0)
 
 
-@pytest.mark.parametrize("delay", [0.0, 5e-3, 20e-3])
+@for_each("delay", [0.0, 5e-3, 20e-3])
 def test_the_port_of_a_torque(delay: float) -> None:
     """A wall against turning rings and is tamed as one against pushing is, at the lever's distance."""
 
@@ -339,7 +340,7 @@ def test_translation_and_rotation_share_one_account() -> None:
     assert port.leaked == pytest.approx(1e-3, rel=0.01)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@for_each("seed", range(12))
 def test_whatever_the_environment_and_the_device_the_bound_holds(seed: int) -> None:
     """Forces that push along the last motion or at random, devices lighter than assumed, any delay."""
     rng = random.Random(seed)
@@ -492,16 +493,16 @@ def test_nothing_moves_nothing_pushes() -> None:
     """All zero, silent, or a delay beyond the longest: finite, and nothing happens."""
     port = controlled()
     for delay, fresh in itertools.product((0.0, 2e-3, 0.9, 7.0), (True, False)):
-        for _ in range(LONGEST + 100):
+        for _ in range(MOST_PERIODS + 100):
             assert port.step((0.0,) * 6, (0.0,) * 6, delay, fresh) == (0.0,) * 6
     port.controlled = False
-    for k in range(2 * LONGEST):
+    for k in range(2 * MOST_PERIODS):
         sent = port.step(
-            (0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1e-6, 0.0, 0.0, 0.0), 2 * LONGEST * PERIOD, k % 7 == 0
+            (0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1e-6, 0.0, 0.0, 0.0), 2 * MOST_PERIODS * PERIOD, k % 7 == 0
         )
         assert all(map(math.isfinite, sent))
     assert all(math.isfinite(v) for v in (port.energy, port.leak, port.leaked, port.dissipated, port.factor))
-    assert port.energy == pytest.approx((LONGEST - 10) // 7 * 1e-6, rel=0.05)
+    assert port.energy == pytest.approx((MOST_PERIODS - 10) // 7 * 1e-6, rel=0.05)
 
 
 def test_while_the_delay_changes_a_motion_still_meets_a_wrench() -> None:
@@ -515,11 +516,11 @@ def test_while_the_delay_changes_a_motion_still_meets_a_wrench() -> None:
 
 
 def test_a_delay_beyond_the_longest_counts_as_the_longest() -> None:
-    """A push at the start meets the motion LONGEST periods later."""
+    """A push at the start meets the motion MOST_PERIODS periods later."""
     port = Port(PERIOD)
-    for k in range(LONGEST + 5):
+    for k in range(MOST_PERIODS + 5):
         force = 1.0 if k < 10 else 0.0
-        port.step((0.0, 0.0, force, 0.0, 0.0, 0.0), (0.0, 0.0, 1e-3, 0.0, 0.0, 0.0), 5 * LONGEST * PERIOD)
+        port.step((0.0, 0.0, force, 0.0, 0.0, 0.0), (0.0, 0.0, 1e-3, 0.0, 0.0, 0.0), 5 * MOST_PERIODS * PERIOD)
     assert port.energy == pytest.approx(4e-3)
 
 
@@ -581,8 +582,8 @@ def test_the_finger_itself_without_a_delay() -> None:
     assert_allclose(run.sent, run.given, rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.004])
-@pytest.mark.parametrize(("leak", "depth"), [(2.0, 0.01), (6.5, 0.2)])
+@for_each("delay", [0.0, 0.004])
+@for_each("leak, depth", [(2.0, 0.01), (6.5, 0.2)])
 def test_after_a_leak_a_handle_that_is_pushed_is_stopped(leak: float, depth: float, delay: float) -> None:
     """A steady push never lets it rest: let go for good it would fall through the wall at 0.7 m/s.
 

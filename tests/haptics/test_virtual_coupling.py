@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import for_each
 from physics_helpers import Array, beam_scene, pose
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
@@ -80,7 +81,7 @@ def test_weight_and_contact_are_the_others() -> None:
     assert touched > 10
 
 
-@pytest.mark.parametrize("damping", [0.0, 5.0])
+@for_each("damping", [0.0, 5.0])
 def test_a_stiff_body_on_the_spring_swings_as_a_mass_does(damping: float) -> None:
     """Against an ODE solver, to the first order of the step."""
     scene = beam_scene(
@@ -134,7 +135,7 @@ def test_a_press_at_rest_is_the_spring_s_and_the_plane_s() -> None:
     assert 2.0 < out.device_wrench[2] < 5.0
 
 
-@pytest.mark.parametrize("depth", [0.0048, 0.0062])
+@for_each("depth", [0.0048, 0.0062])
 def test_limits_are_kept_at_3_to_5_newtons(depth: float) -> None:
     """strain/limit at most 1.002 at rest and 1.05 in motion, force jitter at rest below 1e-4 N a step."""
     sim = Simulator(coupled(solver__sleep=False))
@@ -151,8 +152,8 @@ def test_limits_are_kept_at_3_to_5_newtons(depth: float) -> None:
     assert resting[-1].limited_tets > 60
 
 
-@pytest.mark.parametrize("dt", [0.001, 0.003, 0.01])
-@pytest.mark.parametrize("stiffness", [1e-3, 30.0, 1e5, 1e7])
+@for_each("dt", [0.001, 0.003, 0.01])
+@for_each("stiffness", [1e-3, 30.0, 1e5, 1e7])
 def test_any_stiffness_at_any_step_comes_to_rest(stiffness: float, dt: float) -> None:
     sim = Simulator(
         coupled(
@@ -179,7 +180,7 @@ def steady(sim: Simulator, command: Pose) -> tuple[StepResult, float, float]:
     return out, top, speed
 
 
-@pytest.mark.parametrize("depth", [1e-4, 0.1, 1.5])
+@for_each("depth", [1e-4, 0.1, 1.5])
 def test_a_finger_placed_past_the_plane_is_on_it(depth: float) -> None:
     """A first command deep in the table, as of a device that fell while nobody listened: the bone is not thrown out."""
     sim, command = Simulator(coupled()), pose((0.0, 0.0, -0.002 - depth), LAID)
@@ -210,7 +211,7 @@ def test_a_plane_put_above_the_finger_has_it_on_top(moves: str) -> None:
     assert 1.0 < out.device_wrench[2] <= 10.0 + 1e-9
 
 
-@pytest.mark.parametrize("limit", [0.0, 2.0, 1e3])
+@for_each("limit", [0.0, 2.0, 1e3])
 def test_the_coupling_pulls_no_harder_than_its_limits(limit: float) -> None:
     """However deep the command: 5 cm under the table. The bone stays above it."""
     scene = coupled(coupling__force_limit=limit, coupling__torque_limit=0.01, coupling__stiffness=1e5)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import naive
 import numpy as np
 import pytest
+from cases import for_each
 from numpy.testing import assert_allclose
 from physics_helpers import Array, beam_scene, finger_scene, healthy, lumped_mass, run
 from scipy.spatial.transform import Rotation
@@ -25,9 +26,9 @@ def bodies(limited: bool) -> dict[str, Scene]:
     return {"beam": beam_scene((0.4, 0.2, 0.2), (3, 2, 2), young=1e4, **blocks), "finger": free_finger(**blocks)}
 
 
-@pytest.mark.parametrize("limited", [False, True])
-@pytest.mark.parametrize("name", ["beam", "finger"])
-@pytest.mark.parametrize("alpha", [0.0, 2.0])
+@for_each("limited", [False, True])
+@for_each("name", ["beam", "finger"])
+@for_each("alpha", [0.0, 2.0])
 def test_free_flight_keeps_momentum(name: str, limited: bool, alpha: float) -> None:
     """Linear momentum to 1e-12 a run; with gravity it is m g t; with α it decays as (1 + h α)^−n.
 
@@ -86,8 +87,8 @@ def energies(scene: Scene, x: Array, v: Array, steps: int) -> Array:
     return np.array(values)
 
 
-@pytest.mark.parametrize("dt", [1e-4, 1e-3, 1e-2])
-@pytest.mark.parametrize("amplitude", [1e-3, 0.03])
+@for_each("dt", [1e-4, 1e-3, 1e-2])
+@for_each("amplitude", [1e-3, 0.03])
 def test_vibration_never_gains_energy(dt: float, amplitude: float) -> None:
     """Kinetic plus elastic energy of a free vibrating body does not grow in any step, undamped, to roundoff."""
     scene = beam_scene((0.4, 0.2, 0.2), (3, 2, 2), young=1e4, dt=dt)
@@ -138,7 +139,7 @@ def test_limits_never_create_energy(projection: str, stiffness: float | None, dt
     assert np.diff(values).max() <= 1e-9 * values[0]
 
 
-@pytest.mark.parametrize("rate", [1.0, 10.0, 40.0])
+@for_each("rate", [1.0, 10.0, 40.0])
 def test_spinning_gains_no_energy_but_that_of_its_linearisation(rate: float) -> None:
     """A free body set spinning loses energy over a few steps, and more and more over a turn.
 

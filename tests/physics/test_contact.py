@@ -7,6 +7,7 @@ from typing import Any
 import naive
 import numpy as np
 import pytest
+from cases import for_each
 from numpy.testing import assert_allclose
 from physics_helpers import Array, beam_scene, finger_scene, healthy, lumped_mass, pose, rotations, run, settle
 from scipy.spatial.transform import Rotation
@@ -37,7 +38,7 @@ def block(angle: float = 0.0, mu: float = 0.5, towards: float = 0.0, **blocks: A
     return scene, np.array([0.0, 0.0, 1.0]), downhill
 
 
-@pytest.mark.parametrize("index", range(4))
+@for_each("index", range(4))
 def test_wrench_balances_the_weight_at_rest(index: int) -> None:
     """A block at rest on the plane: force m g upwards to 1e-4, about the frame's origin the torque of the weight.
 
@@ -68,8 +69,8 @@ def test_wrench_balances_the_weight_at_rest(index: int) -> None:
     assert out.max_penetration < 1e-5
 
 
-@pytest.mark.parametrize("mu", [0.2, 0.5, 1.0])
-@pytest.mark.parametrize("towards", [0.0, np.pi / 4, 2.0])
+@for_each("mu", [0.2, 0.5, 1.0])
+@for_each("towards", [0.0, np.pi / 4, 2.0])
 def test_block_sticks_below_the_angle_of_friction(mu: float, towards: float) -> None:
     """tan θ = 0.95 μ: no creep, and the friction carries m g sin θ."""
     angle = np.arctan(0.95 * mu)
@@ -86,8 +87,8 @@ def test_block_sticks_below_the_angle_of_friction(mu: float, towards: float) -> 
     )
 
 
-@pytest.mark.parametrize("mu", [0.2, 0.5])
-@pytest.mark.parametrize("towards", [0.0, np.pi / 4, 2.0])
+@for_each("mu", [0.2, 0.5])
+@for_each("towards", [0.0, np.pi / 4, 2.0])
 def test_block_slides_above_the_angle_of_friction(mu: float, towards: float) -> None:
     """tan θ = 1.5 μ: a = g (sin θ − μ cos θ) downhill; |F_t| = μ F_n whatever the direction: a cone, not a box."""
     angle = np.arctan(1.5 * mu)
@@ -327,7 +328,7 @@ def test_device_wrench_is_the_contact_wrench_clamped() -> None:
 NORMALS = [*np.eye(3), *-np.eye(3), *np.random.default_rng(0).standard_normal((6, 3))]
 
 
-@pytest.mark.parametrize("normal", NORMALS, ids=str)
+@for_each("normal", NORMALS)
 def test_plane_frame_is_right_handed(normal: Array) -> None:
     """n, t₁, t₂ are orthonormal, right-handed, n is the normal."""
     n = normal / np.linalg.norm(normal)
@@ -356,7 +357,7 @@ def test_penetration_is_that_of_the_deepest_surface_node() -> None:
     assert deepest[2] < 1e-9
 
 
-@pytest.mark.parametrize("stiffness", [0.01, 1.0, 1000.0, None])
+@for_each("stiffness", [0.01, 1.0, 1000.0, None])
 def test_nothing_sinks_in_at_rest(stiffness: float | None) -> None:
     """A block at rest stands on the plane and not in it, however soft: the force that holds it has stopped changing."""
     scene, _, _ = block()

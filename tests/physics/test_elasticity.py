@@ -7,6 +7,7 @@ from typing import Any
 import naive
 import numpy as np
 import pytest
+from cases import for_each
 from numpy.testing import assert_allclose
 from physics_helpers import Array, beam_scene, finger_scene, healthy, nodal_forces, rotations, run, settle
 from scipy.spatial.transform import Rotation
@@ -36,7 +37,7 @@ def test_rest_gives_zero_force() -> None:
         assert healthy(out)
 
 
-@pytest.mark.parametrize("index", range(6))
+@for_each("index", range(6))
 def test_rigid_motion_gives_zero_force(index: int) -> None:
     """Rotated (half turns too) and moved bodies have no elastic force: 1e-9 of E times a tetrahedron's face."""
     turn = rotations(3, seed=5)[index]
@@ -47,7 +48,7 @@ def test_rigid_motion_gives_zero_force(index: int) -> None:
         assert np.abs(forces).max() < 1e-11 * scene.material.young * size**2
 
 
-@pytest.mark.parametrize("index", range(6))
+@for_each("index", range(6))
 def test_forces_rotate_with_a_deformed_body(index: int) -> None:
     """f(Q x + t) = Q f(x) at a random finite deformation."""
     scene = beam_scene()
@@ -79,8 +80,8 @@ def test_forces_against_the_energy() -> None:
     assert np.abs(np.cross(x, forces).sum(axis=0)).max() < 1e-6 * size
 
 
-@pytest.mark.parametrize("poisson", [-0.3, 0.0, 0.3, 0.49])
-@pytest.mark.parametrize("strain", [1e-4, -1e-4])
+@for_each("poisson", [-0.3, 0.0, 0.3, 0.49])
+@for_each("strain", [1e-4, -1e-4])
 def test_uniaxial_stress(strain: float, poisson: float) -> None:
     """Stretched by ε and narrowed by ν ε, a beam pulls with E ε times its section at the ends and nowhere else."""
     young, size = 2e5, (0.6, 0.2, 0.3)
@@ -115,7 +116,7 @@ def assembled(scene: Scene, x: Array, h: float) -> tuple[Array, Array]:
     return A[by_node][:, :, by_node].reshape(3 * nf, 3 * nf), state.rhs[by_node, :3].ravel()
 
 
-@pytest.mark.parametrize("young", [1.0, 1e3, 1e6, 1e9])
+@for_each("young", [1.0, 1e3, 1e6, 1e9])
 def test_tangent_stiffness_is_the_derivative_of_the_forces(young: float) -> None:
     """(A − M) / h² is −∂f/∂x with R frozen, by differences of independent forces, from E = 1 Pa to 1 GPa."""
     h = 0.1
@@ -132,8 +133,8 @@ def test_tangent_stiffness_is_the_derivative_of_the_forces(young: float) -> None
         assert_allclose((K @ dx.ravel()).reshape(-1, 3), numeric, rtol=0, atol=1e-11 * np.abs(numeric).max() + 1e-14)
 
 
-@pytest.mark.parametrize("young", [1.0, 1e3, 1e6, 1e9])
-@pytest.mark.parametrize("driven", [False, True])
+@for_each("young", [1.0, 1e3, 1e6, 1e9])
+@for_each("driven", [False, True])
 def test_unconstrained_step_against_dense_numpy(young: float, driven: bool) -> None:
     """One backward Euler step of a deformed, moving body: A v = b by Voigt assembly and numpy.linalg.solve."""
     scene = beam_scene(

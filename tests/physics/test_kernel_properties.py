@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import for_each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -77,7 +78,7 @@ def apart(seed: int) -> Array:
             return F
 
 
-@pytest.mark.parametrize("projection", PROJECTIONS)
+@for_each("projection", PROJECTIONS)
 @settings(max_examples=40, deadline=None)
 @given(seed=seeds)
 def test_limit_rows_turn_with_the_body(projection: str, seed: int) -> None:
@@ -94,7 +95,7 @@ def test_limit_rows_turn_with_the_body(projection: str, seed: int) -> None:
 ANISOTROPIC = ((1.05, 1.2, 1.1), (0.9, 0.8, 0.95))
 
 
-@pytest.mark.parametrize("projection", PROJECTIONS)
+@for_each("projection", PROJECTIONS)
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds, order=st.sampled_from([[1, 2, 0], [2, 0, 1]]))
 def test_no_axis_is_special(projection: str, seed: int, order: list[int]) -> None:
@@ -272,7 +273,7 @@ def alike(got: tuple[Array, Array], expected: tuple[Array, Array], tolerance: fl
     assert_allclose(got[1], expected[1], rtol=0, atol=tolerance * np.abs(expected[1]).max())
 
 
-@pytest.mark.parametrize(("method", "projection"), KINDS)
+@for_each("method, projection", KINDS)
 def test_the_world_has_no_direction(method: str, projection: str) -> None:
     """A press and slide in a world turned as a whole: the same positions and wrench, turned."""
     expected = pressed(method=method, projection=projection)
@@ -280,18 +281,16 @@ def test_the_world_has_no_direction(method: str, projection: str) -> None:
         alike(pressed(method=method, projection=projection, turn=turn), expected, 1e-5)
 
 
-@pytest.mark.parametrize(("method", "projection"), KINDS)
-@pytest.mark.parametrize(
-    ("length", "mass", "time"), [(0.25, 1.0, 1.0), (1.0, 0.5, 1.0), (1.0, 1.0, 0.5), (8.0, 64.0, 4.0)]
-)
+@for_each("method, projection", KINDS)
+@for_each("length, mass, time", [(0.25, 1.0, 1.0), (1.0, 0.5, 1.0), (1.0, 1.0, 0.5), (8.0, 64.0, 4.0)])
 def test_units_do_not_matter(method: str, projection: str, length: float, mass: float, time: float) -> None:
     """The same press measured in other units of length, mass and time: no constant of the method has a dimension."""
     expected = pressed(method=method, projection=projection)
     alike(pressed(method=method, projection=projection, length=length, mass=mass, time=time), expected, 1e-6)
 
 
-@pytest.mark.parametrize(("method", "projection"), KINDS)
-@pytest.mark.parametrize("seed", [0, 1])
+@for_each("method, projection", KINDS)
+@for_each("seed", [0, 1])
 def test_numbering_does_not_matter(method: str, projection: str, seed: int, tmp_path: Path) -> None:
     """Nodes and tetrahedra in another order, and a tetrahedron's nodes turned: the same press."""
     mesh = beam(tuple(SIZE), (2, 1, 1))

@@ -8,6 +8,7 @@ from typing import Any
 import naive
 import numpy as np
 import pytest
+from cases import for_each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -48,15 +49,15 @@ def test_svd_of_random_matrices_over_decades_of_scale(seed: int, exponent: float
 REFLECTIONS = [np.diag([1.0, 1.0, -1.0]), np.diag([-1.0, 1.0, 1.0]), -np.eye(3), np.diag([2.0, -3.0, 0.5])]
 
 
-@pytest.mark.parametrize("F", REFLECTIONS, ids=lambda F: str(np.diag(F)))
+@for_each("F", REFLECTIONS)
 def test_svd_of_reflections(F: Array) -> None:
     """det F < 0: exactly one singular value is negative, the least one."""
     assert (check_decomposition(F) < 0).sum() == 1
     assert (check_decomposition(Rotation.from_euler("xyz", [0.3, -1.0, 2.0]).as_matrix() @ F) < 0).sum() == 1
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize(
+@for_each("seed", range(5))
+@for_each(
     "s",
     [
         (0, 0, 0),
@@ -73,7 +74,6 @@ def test_svd_of_reflections(F: Array) -> None:
         (1e8, 1.0, 1e-8),
         (1, 1e-8, -1e-12),
     ],
-    ids=str,
 )
 def test_svd_of_degenerate_matrices(s: tuple[float, ...], seed: int) -> None:
     """Rank 0, 1, 2, repeated and widely spread singular values still give rotations and a reconstruction."""
@@ -81,7 +81,7 @@ def test_svd_of_degenerate_matrices(s: tuple[float, ...], seed: int) -> None:
     assert_allclose(np.sort(np.abs(got)), np.sort(np.abs(s)), rtol=1e-12, atol=1e-15 * max(np.abs(s)))
 
 
-@pytest.mark.parametrize("axis", range(3))
+@for_each("axis", range(3))
 def test_svd_of_matrices_with_zero_columns(axis: int) -> None:
     """Exact zeros, where a column of F has collapsed to nothing."""
     one = np.zeros((3, 3))
@@ -120,7 +120,7 @@ def as_rotation(q: Any) -> Rotation:
     return Rotation.from_quat(q)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_each("seed", range(20))
 def test_quaternions_against_scipy(seed: int) -> None:
     """matrix, angle and slerp agree with scipy's rotations, whichever of q and −q stands for the orientation."""
     a, b = Rotation.random(2, random_state=seed)
@@ -138,7 +138,7 @@ def test_quaternions_against_scipy(seed: int) -> None:
             assert math.hypot(*got) == pytest.approx(1.0, abs=1e-14)
 
 
-@pytest.mark.parametrize("turn", [0.0, 1e-12, 1e-9, 1e-6, 1e-3, math.pi - 1e-9, math.pi])
+@for_each("turn", [0.0, 1e-12, 1e-9, 1e-6, 1e-3, math.pi - 1e-9, math.pi])
 def test_small_and_half_turns(turn: float) -> None:
     """angle resolves turns far below the square root of roundoff (an acos would not); slerp stays unit there."""
     q = (0.0, 0.0, math.sin(0.5 * turn), math.cos(0.5 * turn))

@@ -9,6 +9,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from cases import for_each
 from numpy.testing import assert_array_equal
 from physics_helpers import Array
 
@@ -75,9 +76,9 @@ def binary(op: Any, width: int, left: str = "lanes", right: str = "lanes") -> Ca
     return lambda a, b, out: store(out, 0, 0, op(load(a, 0, 0), load(b, 0, 0)))
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("sides", [("lanes", "lanes"), ("number", "lanes"), ("lanes", "number")], ids="-".join)
-@pytest.mark.parametrize("op", [operator.add, operator.sub, operator.mul, operator.truediv])
+@for_each("width", WIDTHS)
+@for_each("sides", [("lanes", "lanes"), ("number", "lanes"), ("lanes", "number")])
+@for_each("op", [operator.add, operator.sub, operator.mul, operator.truediv])
 def test_arithmetic(op: Any, sides: tuple[str, str], width: int) -> None:
     """+ − × ÷ of lanes with lanes, and with a number on either side: NumPy's bits, through NaN, ∞ and −0."""
     function = compiled(binary(op, width, *sides))
@@ -88,9 +89,9 @@ def test_arithmetic(op: Any, sides: tuple[str, str], width: int) -> None:
             same(out[0], op(a[0] if sides[0] == "number" else a, b[0] if sides[1] == "number" else b))
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("sides", [("lanes", "lanes"), ("number", "lanes"), ("lanes", "number")], ids="-".join)
-@pytest.mark.parametrize("op", [operator.lt, operator.gt, operator.le, operator.ge])
+@for_each("width", WIDTHS)
+@for_each("sides", [("lanes", "lanes"), ("number", "lanes"), ("lanes", "number")])
+@for_each("op", [operator.lt, operator.gt, operator.le, operator.ge])
 def test_comparisons_and_bits(op: Any, sides: tuple[str, str], width: int) -> None:
     """< > ≤ ≥ as masks, read by `bits`: lane l is bit l; every comparison with NaN is false."""
     load = LOAD[width]
@@ -107,8 +108,8 @@ def test_comparisons_and_bits(op: Any, sides: tuple[str, str], width: int) -> No
         assert functions[sides](a[None].copy(), b[None].copy()) == expected
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("op", [operator.and_, operator.or_])
+@for_each("width", WIDTHS)
+@for_each("op", [operator.and_, operator.or_])
 def test_masks_combine(op: Any, width: int) -> None:
     """& and | of masks, for all pairs of truth values."""
     load = LOAD[width]
@@ -123,12 +124,8 @@ def test_masks_combine(op: Any, width: int) -> None:
         assert function(a, b) == python(a, b) == expected
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize(
-    ("one", "numpy"),
-    [(operator.neg, np.negative), (sqrt, np.sqrt), (absolute, np.abs)],
-    ids=["neg", "sqrt", "absolute"],
-)
+@for_each("width", WIDTHS)
+@for_each("one, numpy", [(operator.neg, np.negative), (sqrt, np.sqrt), (absolute, np.abs)])
 def test_functions_of_one(one: Any, numpy: Any, width: int) -> None:
     """−v, √v, |v|: NumPy's bits; √ of a negative number is NaN, −0 and its sign are kept."""
     load, store = LOAD[width], STORE[width]
@@ -141,7 +138,7 @@ def test_functions_of_one(one: Any, numpy: Any, width: int) -> None:
             same(one(a), numpy(a))
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@for_each("width", WIDTHS)
 def test_maximum(width: int) -> None:
     """The larger one; the second where the first is NaN, and NaN where the second is: as documented, both ways."""
     function = compiled(binary(maximum, width))
@@ -153,7 +150,7 @@ def test_maximum(width: int) -> None:
         same(maximum(a, b), expected)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@for_each("width", WIDTHS)
 def test_where(width: int) -> None:
     """a where the mask holds, else b; nothing of the other one, NaN included, gets through."""
     load, store = LOAD[width], STORE[width]
@@ -171,8 +168,8 @@ def test_where(width: int) -> None:
             same(out[0], expected)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("shape", [(3, 8), (5, 3, 8), (4, 3, 2, 4), (2, 9, 8), (7, 24), (3, 1, 16)], ids=str)
+@for_each("width", WIDTHS)
+@for_each("shape", [(3, 8), (5, 3, 8), (4, 3, 2, 4), (2, 9, 8), (7, 24), (3, 1, 16)])
 def test_places(shape: tuple[int, ...], width: int) -> None:
     """load and store reach group k of entry i of arrays of any rank, the last of each too, and touch nothing else."""
     load, store = LOAD[width], STORE[width]
@@ -211,7 +208,7 @@ def test_places_of_padded_rows_and_views() -> None:
     assert_array_equal(out[0], part[5, 36:40])
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@for_each("width", WIDTHS)
 def test_a_load_is_a_copy(width: int) -> None:
     """What was loaded does not change with the array: kernels store where they have read."""
     load, store = LOAD[width], STORE[width]
@@ -227,7 +224,7 @@ def test_a_load_is_a_copy(width: int) -> None:
         assert_array_equal(a, [2 * np.arange(1.0, width + 1), np.arange(1.0, width + 1)])
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@for_each("width", WIDTHS)
 def test_splat_and_lane(width: int) -> None:
     """The same number in every lane, NaN and −0 too; lane l is entry l, of a variable index."""
     splat, load, store = SPLAT[width], LOAD[width], STORE[width]
@@ -300,7 +297,7 @@ def test_add3() -> None:
                 assert_array_equal(a, expected)
 
 
-@pytest.mark.parametrize("K", [1, 3, 4])
+@for_each("K", [1, 3, 4])
 def test_scatter3(K: int) -> None:
     """Eight vectors to a[8 i + l, k, :3], zeros to their padding, and to nothing else; the last place too."""
 

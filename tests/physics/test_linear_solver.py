@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
+from cases import for_each
 from numpy.testing import assert_allclose
 from physics_helpers import Array, loaded
 
@@ -58,8 +58,8 @@ def check_solution(graph: Any, A: Array, rng: np.random.Generator) -> Any:
 CASES = [(1, 0), (2, 1), (3, 0), (7, 30), (30, 60), (40, 40), (60, 300)]
 
 
-@pytest.mark.parametrize(("nodes", "edges"), CASES)
-@pytest.mark.parametrize("spread", [0.0, 6.0])
+@for_each("nodes, edges", CASES)
+@for_each("spread", [0.0, 6.0])
 def test_solve_against_numpy(nodes: int, edges: int, spread: float) -> None:
     """A⁻¹ y on random graphs, connected or not, over decades of stiffness; slots are a permutation."""
     for seed in range(3):
@@ -82,7 +82,7 @@ GRAPHS = {
 }
 
 
-@pytest.mark.parametrize("name", GRAPHS)
+@for_each("name", GRAPHS)
 def test_panels_of_many_shapes(name: str) -> None:
     """A⁻¹ y where columns of L share their rows: blocks of a panel, its own columns and those below, are right."""
     nodes, edges = GRAPHS[name]
@@ -112,7 +112,7 @@ def test_the_shipped_finger() -> None:
     check_solution(graph, A, rng)
 
 
-@pytest.mark.parametrize(("nodes", "edges"), CASES)
+@for_each("nodes, edges", CASES)
 def test_lanes_are_columns_of_the_inverse(nodes: int, edges: int) -> None:
     """Many right-hand sides at once, from any slot on, give what numpy.linalg.inv has."""
     rng = np.random.default_rng(4)
@@ -152,7 +152,7 @@ def test_fill_is_small_on_a_chain() -> None:
     assert len(pattern.row) == 49
 
 
-@pytest.mark.parametrize("broken", ["negative", "singular", "nan"])
+@for_each("broken", ["negative", "singular", "nan"])
 def test_a_matrix_that_is_not_positive_definite_is_reported(broken: str) -> None:
     """factor returns False, and does not raise, for indefinite, singular and NaN matrices."""
     rng = np.random.default_rng(6)

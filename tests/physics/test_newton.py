@@ -7,6 +7,7 @@ from typing import Any
 import naive
 import numpy as np
 import pytest
+from cases import for_each
 from numpy.testing import assert_allclose
 from physics_helpers import Array, beam_scene, finger_scene, healthy, pose, run
 from scipy.spatial.transform import Rotation
@@ -127,10 +128,13 @@ def test_limits_that_are_stiff_against_inertia_against_clarabel() -> None:
     sim = Simulator(block((2, 2, 1), limits=limits("tensor", 100.0)))
     seen = 0
     for k in range(1, 41):
-        problem = stepped(sim, sliding(k, 2.6e-5, 5e-6))
-        if k in (20, 22, 30, 40):
-            seen = max(seen, problem.out.limited_tets)
-            check_with_friction(problem)
+        command = sliding(k, 2.6e-5, 5e-6)
+        if k not in (20, 22, 30, 40):
+            assert healthy(sim.step(command))
+            continue
+        problem = stepped(sim, command)
+        seen = max(seen, problem.out.limited_tets)
+        check_with_friction(problem)
     assert seen >= 1
 
 
@@ -222,8 +226,8 @@ def test_without_rows_both_methods_are_one() -> None:
 # --- friction ---
 
 
-@pytest.mark.parametrize("mu", [0.2, 0.5, 1.0])
-@pytest.mark.parametrize("towards", [0.0, 0.7, 3.0])
+@for_each("mu", [0.2, 0.5, 1.0])
+@for_each("towards", [0.0, 0.7, 3.0])
 def test_full_slip_is_on_the_cone(mu: float, towards: float) -> None:
     """Slid along in any direction, |F_t| = μ F_n against the motion to 0.5 %, at the tolerance of every day."""
     solver = {"method": "newton", "tolerance": 1e-3, "max_iterations": 50}
@@ -239,7 +243,7 @@ def test_full_slip_is_on_the_cone(mu: float, towards: float) -> None:
     assert_allclose(force[:2] / np.linalg.norm(force[:2]), -along, rtol=0, atol=0.01)
 
 
-@pytest.mark.parametrize("share", [0.5, 0.95])
+@for_each("share", [0.5, 0.95])
 def test_a_stuck_contact_does_not_creep(share: float) -> None:
     """A block under a constant side load within its cone moves by less than 1 µm in a second."""
     g, mu = 9.81, 0.5
@@ -288,14 +292,17 @@ def test_a_capped_step_is_no_worse_than_none() -> None:
     capped = 0
     for k in range(1, 61):
         start = sim.velocities.copy()
-        problem = stepped(sim, sliding(k), well=False)
-        out = problem.out
+        if k % 5:
+            out = sim.step(sliding(k))
+        else:
+            problem = stepped(sim, sliding(k), well=False)
+            out = problem.out
+            assert missing_force(problem, sim.velocities) <= missing_force(problem, start) * (1 + 1e-6) + 1e-9
+            capped += bool(out.status & Status.ITERATION_LIMIT)
         assert out.iterations <= 1
         assert bool(out.status & Status.ITERATION_LIMIT) == (out.residual > 1e-9)
         assert not out.status & (Status.NONFINITE | Status.STEP_REJECTED)
-        assert missing_force(problem, sim.velocities) <= missing_force(problem, start) * (1 + 1e-6) + 1e-9
-        capped += bool(out.status & Status.ITERATION_LIMIT)
-    assert capped > 10
+    assert capped >= 5
 
 
 def test_a_deadline() -> None:
@@ -369,7 +376,7 @@ def test_a_step_allocates_nothing() -> None:
     assert pressed == allocations(np.array(sim.positions[sim._model.driven])) <= 200  # the argument
 
 
-@pytest.mark.parametrize("key", ["limits.stiffness", "plane.stiffness"])
+@for_each("key", ["limits.stiffness", "plane.stiffness"])
 def test_rigid_rows_are_refused(key: str) -> None:
     """Only `pgs` can be rigid: SceneError names what would have to be a number."""
     scene = block((2, 2, 1), limits=limits("hyperbolic"))

@@ -9,6 +9,7 @@ import naive
 import numba
 import numpy as np
 import pytest
+from cases import for_each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -84,7 +85,7 @@ def test_random_matrices_over_decades_of_scale(seed: int, exponent: float) -> No
     check(F, TETS.decompose(F, Rotation.random(TETS.count, random_state=rng))[0])
 
 
-@pytest.mark.parametrize(
+@for_each(
     "s",
     [
         (1.0, 1.0, 1.0),
@@ -103,9 +104,8 @@ def test_random_matrices_over_decades_of_scale(seed: int, exponent: float) -> No
         (2.0, 1.0, -1.0),
         (0.0, 0.0, 0.0),
     ],
-    ids=str,
 )
-@pytest.mark.parametrize("seed", range(3))
+@for_each("seed", range(3))
 def test_flat_inverted_and_collapsed_tetrahedra(s: tuple[float, ...], seed: int) -> None:
     """Repeated, vanishing and negative singular values; with s₂ = −s₃ any of the best rotations will do."""
     F = several(seed, s)
@@ -126,8 +126,8 @@ def test_exact_zeros() -> None:
         check(F, TETS.decompose(F, start)[0])
 
 
-@pytest.mark.parametrize("short", [0.0, 1e-16, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0])
-@pytest.mark.parametrize("s", [(1.0, 1.0, 1.0), (1.3, 1.0, 0.8), (1.2, 0.9, -0.2)], ids=str)
+@for_each("short", [0.0, 1e-16, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0])
+@for_each("s", [(1.0, 1.0, 1.0), (1.3, 1.0, 0.8), (1.2, 0.9, -0.2)])
 def test_a_stale_start_half_round(s: tuple[float, ...], short: float) -> None:
     """Turned by 180° less a little about any axis since the last call: a minimum of tr(RᵀF) is no maximum."""
     rng = np.random.default_rng(7)
@@ -176,7 +176,7 @@ def iterate(F: Array, quaternion: Array) -> tuple[int, int]:
     return lost, far
 
 
-@pytest.mark.parametrize("s", [(1.0, 1.0, 1.0), (1.3, 1.0, 0.7), (1.1, 0.8, -0.2)], ids=str)
+@for_each("s", [(1.0, 1.0, 1.0), (1.3, 1.0, 0.7), (1.1, 0.8, -0.2)])
 def test_a_warm_start_converges_cubically(s: tuple[float, ...]) -> None:
     """An iteration from an error θ leaves θ³ / 2 of it or less: 0.1 rad, a step's worth at 100 rad/s, takes two."""
     rng = np.random.default_rng(12)

@@ -7,6 +7,7 @@ from typing import Any
 import naive
 import numpy as np
 import pytest
+from cases import for_each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -34,7 +35,7 @@ ALL = {
     "linear": LINEAR,
     "linear, free axis": LINEAR_FREE,
 }
-each = pytest.mark.parametrize("limits", ALL.values(), ids=ALL)
+each = for_each("limits", ALL.values())
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -68,7 +69,7 @@ def matched(C: Array, rows: Array, C_naive: Array, rows_naive: Array) -> tuple[A
 
 
 @each
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(seed=seeds)
 def test_values_are_the_paper_s(limits: Limits, seed: int) -> None:
     """Every C of Eq. 9-12, 19-22, by numpy.linalg.svd, inverted tetrahedra included; and the count of rows."""
@@ -79,13 +80,12 @@ def test_values_are_the_paper_s(limits: Limits, seed: int) -> None:
     assert gradients.shape == (len(C), 3, 3)
 
 
-@pytest.mark.parametrize(
-    ("F", "expected"),
+@for_each(
+    "F, expected",
     [
         (np.diag([1.1, 0.8, 1.0]), [0.05 - 0.1, 0.25, 0.02, 0.05, 0.25 - 0.2, 0.02, 0.05, 0.25, 0.02]),
         (np.eye(3), [0.05, 0.25, 0.02] * 3),
     ],
-    ids=["stretched", "rest"],
 )
 def test_values_along_the_axes_by_hand(F: Array, expected: list[float]) -> None:
     """With V = I, axis j bounds s_j alone, and the whole room of the other rows is left."""
@@ -132,7 +132,7 @@ def test_number_of_rows() -> None:
     assert evaluate(stretched, Limits())[0].shape == (0,)
 
 
-@pytest.mark.parametrize("limits", [v for k, v in ALL.items() if not k.startswith("orthogonal")])
+@for_each("limits", [v for k, v in ALL.items() if not k.startswith("orthogonal")])
 def test_inside_is_positive_and_outside_negative(limits: Limits) -> None:
     """C ≥ 0 within the tightest room in every direction; C < 0 where a limited axis is passed along itself."""
     for seed in range(30):
@@ -145,7 +145,7 @@ def test_inside_is_positive_and_outside_negative(limits: Limits) -> None:
             assert evaluate(np.diag(1.0 + (limits.compress[j] - 1.0 - 0.01) * np.eye(3)[j]), limits)[0].min() < -0.009
 
 
-@pytest.mark.parametrize("F", [np.eye(2), np.full((3, 3), np.nan), np.diag([1.0, np.inf, 1.0]), np.zeros(9), "F"])
+@for_each("F", [np.eye(2), np.full((3, 3), np.nan), np.diag([1.0, np.inf, 1.0]), np.zeros(9), "F"])
 def test_an_F_that_is_none_is_refused(F: Any) -> None:
     """Wrong shapes and numbers that are not finite: ValueError."""
     with pytest.raises(ValueError):  # noqa: PT011
@@ -179,7 +179,7 @@ def test_row_order_is_continuous() -> None:
 
 
 @each
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=seeds)
 def test_gradients_at_random(limits: Limits, seed: int) -> None:
     """∂C/∂F (Eq. 13, 17, 18) at random F with separate singular values, to 1e-8."""
@@ -188,16 +188,16 @@ def test_gradients_at_random(limits: Limits, seed: int) -> None:
 
 
 @each
-@pytest.mark.parametrize("inverted", [-0.3, -0.05])
-@pytest.mark.parametrize("seed", range(3))
+@for_each("inverted", [-0.3, -0.05])
+@for_each("seed", range(3))
 def test_gradients_of_inverted_tetrahedra(limits: Limits, seed: int, inverted: float) -> None:
     """A negative singular value is a compression past zero, differentiated as such."""
     check_gradients(smooth_F(seed, (1.3, 0.8, inverted)), limits, 2e-4, 1e-7)
 
 
 @each
-@pytest.mark.parametrize("gap", [1e-2, 1e-3, 1e-4])
-@pytest.mark.parametrize("seed", range(3))
+@for_each("gap", [1e-2, 1e-3, 1e-4])
+@for_each("seed", range(3))
 def test_gradients_of_near_equal_singular_values(limits: Limits, seed: int, gap: float) -> None:
     """V turns faster as 1/gap; its exact derivative is followed down to a gap of 1e-4."""
     for s in [(1.2 + gap, 1.2, 0.8), (1.3, 0.7, 0.7 - gap)]:
@@ -205,8 +205,8 @@ def test_gradients_of_near_equal_singular_values(limits: Limits, seed: int, gap:
 
 
 @each
-@pytest.mark.parametrize("flat", [1e-3, 1e-5, 1e-8])
-@pytest.mark.parametrize("seed", range(3))
+@for_each("flat", [1e-3, 1e-5, 1e-8])
+@for_each("seed", range(3))
 def test_gradients_of_flattened_tetrahedra(limits: Limits, seed: int, flat: float) -> None:
     """One singular value nearly zero: no loss of accuracy (an SVD by way of FᵀF would have it)."""
     check_gradients(smooth_F(seed, (1.2, 0.8, flat)), limits, 2e-4, 1e-7)
@@ -267,7 +267,7 @@ LIMITED: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("index", range(6))
+@for_each("index", range(6))
 def test_limits_move_with_the_body(index: int) -> None:
     """A strained body, rotated with its motion: the same strain ratios, rows, and velocities turned along."""
     turn = rotations(3, seed=11)[index]

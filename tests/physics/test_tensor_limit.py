@@ -9,6 +9,7 @@ import naive
 import numba
 import numpy as np
 import pytest
+from cases import for_each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -28,7 +29,7 @@ EQUAL = Limits("tensor", (1.04,) * 3, (0.93,) * 3)
 ONE_SIDED = Limits("tensor", (1.03, 1.2, 1.1), (None,) * 3)
 SINGLE = Limits("tensor", (None, 1.04, None), (None, 0.9, None))
 ALL = {"paper": PAPER, "free axis": FREE_AXIS, "equal": EQUAL, "one-sided": ONE_SIDED, "single": SINGLE}
-each = pytest.mark.parametrize("limits", ALL.values(), ids=ALL)
+each = for_each("limits", ALL.values())
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -56,9 +57,9 @@ def test_values_are_those_of_lapack(limits: Limits, seed: int) -> None:
     assert_allclose(C, values(F, limits), rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize("room", [1e-4, 1e-2, 1.0])
-@pytest.mark.parametrize("strain", [1e-4, 1e-3, 1e-2, 0.1, 0.6])
-@pytest.mark.parametrize("seed", range(4))
+@for_each("room", [1e-4, 1e-2, 1.0])
+@for_each("strain", [1e-4, 1e-3, 1e-2, 0.1, 0.6])
+@for_each("seed", range(2))
 def test_gradients_against_differences_over_decades(seed: int, strain: float, room: float) -> None:
     """dC/dF by sixth-order differences of LAPACK's values, for strains and rooms from 1e-4 to 1."""
     rng = np.random.default_rng(seed)
@@ -111,7 +112,7 @@ def test_equal_limits_are_the_isotropic_limit(seed: int) -> None:
             assert_allclose(gradients[k], -np.outer(U[:, i], V[:, i]) / 0.04, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("axis", range(3))
+@for_each("axis", range(3))
 @settings(max_examples=50, deadline=None)
 @given(seed=seeds)
 def test_a_single_limited_axis_bounds_its_own_strain(axis: int, seed: int) -> None:
@@ -196,7 +197,7 @@ def allowed(limits: Limits, d: Array, sign: float) -> float:
     return low
 
 
-@pytest.mark.parametrize(("sign", "room"), [(1.0, 0.05), (-1.0, 0.08)], ids=["stretch", "compress"])
+@for_each("sign, room", [(1.0, 0.05), (-1.0, 0.08)])
 def test_isotropy(sign: float, room: float) -> None:
     """Equal limits, a stretch along any direction: `tensor` lets pass the limit, `hyperbolic` √3 of it at (1, 1, 1)."""
     limits = {name: Limits(name, (1.05,) * 3, (0.92,) * 3) for name in ("tensor", "hyperbolic", "isotropic")}  # type: ignore[arg-type]
@@ -210,7 +211,7 @@ def test_isotropy(sign: float, room: float) -> None:
     assert over["hyperbolic"].max() == pytest.approx(np.sqrt(3.0), abs=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@for_each("seed", range(5))
 def test_gradients_do_not_care_where_singular_values_cross(seed: int) -> None:
     """s₁ − s₂ from 1e-2 to 1e-10: `tensor`'s gradient moves with it by so little; `hyperbolic`'s grows as 1/gap."""
     U, V = Rotation.random(2, random_state=seed).as_matrix()
@@ -276,7 +277,7 @@ def ratios(sim: Simulator) -> Array:
     return np.array([max(0.0, *(1.0 - C for C, *_ in naive.tensor_rows(f, sim.scene.limits))) for f in F])
 
 
-@pytest.mark.parametrize("size", [1e-5, 1e-4, 3e-4])
+@for_each("size", [1e-5, 1e-4, 3e-4])
 def test_strain_ratio_on_the_finger(size: float) -> None:
     """`strain_ratio` and the result's largest are those of LAPACK, also where no tetrahedron is near its limit."""
     sim = Simulator(finger_scene(limits__projection="tensor"))
@@ -291,7 +292,7 @@ def test_strain_ratio_on_the_finger(size: float) -> None:
     assert out.max_strain_ratio == pytest.approx(expected.max(), rel=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@for_each("seed", range(5))
 def test_no_tetrahedron_near_its_limit_is_passed_over(seed: int) -> None:
     """Every side of every tetrahedron with strain/limit above NEAR is among those looked at."""
     sim = Simulator(finger_scene(limits__projection="tensor"))

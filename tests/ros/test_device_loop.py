@@ -10,6 +10,8 @@ import pytest
 from geometry_msgs.msg import WrenchStamped
 from ros_helpers import Client, NodeProcess, command, write_block
 
+pytestmark = pytest.mark.ros
+
 COUPLED = """
 mesh: {beam: {size: [0.02, 0.01, 0.01], cells: [2, 1, 1]}}
 driven: {box: [[-1, -1, 0.0099], [1, 1, 1]]}
@@ -45,7 +47,7 @@ def test_forces_come_in_on_a_ramp(tmp_path):
             client.until(lambda: contacts and devices)
             client.until(lambda: devices[-1].wrench.force.z == 0.0)
             begin = devices[-1]
-            client.until(lambda begin=begin: shares(contacts, devices, begin)[-1:] == [pytest.approx(1.0)], press)
+            client.until(lambda begin=begin: shares(contacts[-5:], devices[-1:], begin) == [pytest.approx(1.0)], press)
             ramp = shares(contacts, devices, begin)
             assert ramp[0] < 0.1
             assert all(-1e-9 <= b - a < 0.2 for a, b in itertools.pairwise(ramp))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from finger_sim.ros import loop as module
-from finger_sim.ros.loop import Progress, RateLoop, TriggeredLoop
+from finger_sim.ros.loop import RateLoop, StepCounts, TriggeredLoop
 
 
 class Clock:
@@ -27,7 +27,7 @@ class Clock:
         self.now += seconds
 
 
-def begun(costs: list[float], monkeypatch: pytest.MonkeyPatch) -> tuple[list[float], Progress]:
+def begun(costs: list[float], monkeypatch: pytest.MonkeyPatch) -> tuple[list[float], StepCounts]:
     """When steps that take `costs` [periods of 1/8 s] began, and how they were counted."""
     clock = Clock()
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=clock.monotonic, sleep=clock.sleep))

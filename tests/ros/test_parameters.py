@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import for_each
 from ros_helpers import Client, NodeProcess, write_block
 
-from finger_sim import Scene, SceneError
-from finger_sim.ros import parameters
-from finger_sim.ros.parameters import NodeOptions, to_ros
+from finger_sim import FingerSimError, Scene, SceneError
+from finger_sim.ros import parameters, rclpy_private
+from finger_sim.ros.options import NodeOptions
+from finger_sim.ros.parameters import to_ros
 from finger_sim.scene.fields import specs
+
+pytestmark = pytest.mark.ros
 
 SCENE = Scene.from_dict(
     {
@@ -59,10 +65,7 @@ def parsed(name, value):
     return next(p.value for p in scene.parameters() if p.name == name)
 
 
-REFUSED = [pytest.param(p.name, value, id=f"{p.name}={value}") for p in ALL for value in beyond(p)]
-
-
-@pytest.mark.parametrize(("name", "value"), REFUSED)
+@for_each("name, value", [(p.name, value) for p in ALL for value in beyond(p)])
 def test_an_override_beyond_a_bound_is_refused_by_name(name, value):
     """The error names parameter, value and what is allowed."""
     with pytest.raises(SceneError) as caught:
@@ -71,14 +74,14 @@ def test_an_override_beyond_a_bound_is_refused_by_name(name, value):
     assert caught.value.allowed
 
 
-@pytest.mark.parametrize("parameter", ALL, ids=lambda p: p.name)
+@for_each("parameter", ALL)
 def test_values_survive_the_way_through_ros(parameter):
     """A value made a ROS parameter and read back is the value, null included."""
     back = parsed(parameter.name, to_ros(parameter.value, parameter.spec))
     assert back == parameter.value or np.allclose(back, parameter.value, rtol=1e-15)
 
 
-@pytest.mark.parametrize("parameter", ALL, ids=lambda p: p.name)
+@for_each("parameter", ALL)
 def test_descriptors_say_what_the_field_says(parameter):
     """Doc, unit, range and read-only of the descriptor are those of the field."""
     spec, shown = parameter.spec, parameters.descriptor(parameter)
@@ -99,10 +102,71 @@ def test_defaults_of_the_options_are_allowed():
     assert parameters.options_from({}) == NodeOptions()
 
 
-def test_unknown_overrides_are_named_with_the_nearest():
-    """A typing error is told from quality-of-service overrides, which rclpy reads itself."""
-    given = ["plane.frictoin", "dt", "zzz", "qos_overrides./tf.publisher.depth"]
-    assert parameters.unknown(given, BY_NAME) == {"plane.frictoin": "plane.friction", "zzz": ""}
+class Declared:
+    """A node with parameters of these names."""
+
+    def __init__(self, names):
+        self.names = set(names)
+
+    def has_parameter(self, name):
+        return name in self.names
+
+    def get_parameters_by_prefix(self, prefix):
+        return {n.removeprefix(f"{prefix}."): None for n in self.names if n.startswith(f"{prefix}.")}
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("plane.fricton", "did you mean plane.friction?"),
+        ("Dt", "did you mean dt?"),
+        ("mash_rate", "did you mean mesh_rate?"),
+        ("zzz", "the node has no such parameter"),
+        ("solver.deadlines.zzz", "the node has no such parameter"),
+        ("limits.viscosity", "the scene soft.yaml has no block 'limits'"),
+        ("mesh.beam.size", "the scene soft.yaml has no block 'mesh.beam'"),
+    ],
+)
+def test_a_name_that_the_node_does_not_have_is_refused(name, says):
+    """With the nearest there is, or the block that this scene does not have."""
+    scene = Scene.from_dict({"mesh": {"file": "meshes/finger.vtu"}, "plane": {}})
+    node = Declared({p.name for p in scene.parameters()} | set(specs(NodeOptions)) | {"use_sim_time"})
+    with pytest.raises(SceneError) as caught:
+        parameters.require_known({"dt": 0.002, name: 0.2}, node, scene, "soft.yaml")
+    assert str(caught.value).startswith(f"{name}: got 0.2")
+    assert says in str(caught.value)
+
+
+def test_names_that_ros_owns_are_not_refused():
+    """Its own parameters, and overrides of qualities; of these one that changes nothing is told, with the nearest."""
+    right = "qos_overrides./command_pose.subscription.reliability"
+    node = Declared([*BY_NAME, "use_sim_time", "start_type_description_service", right])
+    wrong = "qos_overrides./comand_pose.subscription.reliability"
+    given = dict.fromkeys(["use_sim_time", "start_type_description_service", right, wrong], True)
+    parameters.require_known(given, node, SCENE, "")
+    assert list(parameters.unused_qualities([*given, "qos_overrides./clock.subscription.depth"], node)) == [
+        f"parameter {wrong} changes nothing here; did you mean {right}?"
+    ]
+
+
+def test_an_rclpy_that_lacks_something_is_named(monkeypatch):
+    """What is missing, and the version of rclpy; not an AttributeError later on."""
+    rclpy_private.require()
+    version = r"rclpy \S+ has no rclpy\."
+    with pytest.raises(FingerSimError, match=version + r"node\.Node\._parameter_overrides"):
+        rclpy_private.overrides(object())
+    monkeypatch.delattr("rclpy.subscription.Subscription.handle")
+    with pytest.raises(FingerSimError, match=version + r"subscription\.Subscription\.handle, which finger_sim needs"):
+        rclpy_private.require()
+
+
+def test_private_names_of_rclpy_are_used_in_one_file():
+    """Where they are checked."""
+    private = re.compile(
+        r"rclpy\.impl|_rclpy|rclpy_implementation|\.handle\b|_parameter_overrides|\bself\._parameters\b"
+    )
+    folder = Path(parameters.__file__).parent
+    assert [p.name for p in folder.glob("*.py") if private.search(p.read_text())] == ["rclpy_private.py"]
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +174,7 @@ def client(tmp_path_factory):
     folder = tmp_path_factory.mktemp("parameters")
     overrides = ("-p", "plane.friction:=0.25", "-p", "solver.tolerance:=0.01", "-p", "gravity:=[0,0,-1]")
     scene = write_block(folder)
-    with NodeProcess(folder / "log", "-p", f"scene:={scene}", *overrides, "-p", "plane.frictoin:=0.1") as node:
+    with NodeProcess(folder / "log", "-p", f"scene:={scene}", *overrides) as node:
         node.wait_for("ready after")
         with Client(node.domain) as client:
             client.log = node
@@ -127,7 +191,6 @@ def test_the_node_has_every_parameter_of_scene_and_options(client, tmp_path):
     assert list(client.get("gravity")) == [0.0, 0.0, -1.0]
     assert list(client.get("limits.stretch")) == [1.05, 1.25, math.inf]
     assert client.get("dt") == 0.005
-    assert "plane.frictoin is not known" in client.log.output
 
 
 def test_the_node_describes_unit_and_range(client):
@@ -137,10 +200,7 @@ def test_the_node_describes_unit_and_range(client):
     assert (shown.floating_point_range[0].from_value, shown.floating_point_range[0].to_value) == (0.0, 1e6)
 
 
-LIVE = [pytest.param(p.name, v, id=f"{p.name}={v}") for p in ALL if p.spec.live for v in beyond(p)]
-
-
-@pytest.mark.parametrize(("name", "value"), LIVE)
+@for_each("name, value", [(p.name, value) for p in ALL if p.spec.live for value in beyond(p)])
 def test_the_running_node_refuses_what_is_beyond_a_bound(client, name, value):
     """The reason names the parameter; the value stays."""
     before = client.get(name)
@@ -151,12 +211,12 @@ def test_the_running_node_refuses_what_is_beyond_a_bound(client, name, value):
     assert client.get(name) == before
 
 
-@pytest.mark.parametrize("name", ["dt", "scene", "material.young", "limits.stretch", "record_queue"])
-def test_the_running_node_refuses_what_needs_a_rebuild(client, name):
+def test_the_running_node_refuses_what_needs_a_rebuild(client):
     """Read-only parameters stay as they are."""
-    result = client.set(name, client.get(name))
-    assert not result.successful
-    assert name in result.reason
+    for name in ("dt", "scene", "material.young", "limits.stretch", "record_queue", "record_directory"):
+        result = client.set(name, client.get(name))
+        assert not result.successful, name
+        assert name in result.reason
 
 
 def test_a_whole_number_is_a_number(client):
@@ -166,23 +226,35 @@ def test_a_whole_number_is_a_number(client):
     assert client.set("plane.friction", 0.25).successful
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["-p", "scene:=no_such_scene"], "no_such_scene"),
-        (["-p", "dt:=0.5"], "dt"),
-        (["-p", "dt:=fast"], "dt"),
-        (["-p", "dt:=[0.1"], "dt"),
-        (["-p", "plane.friction:=-1.0"], "plane.friction"),
-        (["-p", "wrench_frame:=sensor"], "wrench_frame"),
-        (["-p", "record:=/proc/no/such/place"], "/proc/no/such/place"),
-    ],
-    ids=lambda v: v[-1] if isinstance(v, list) else "",
-)
-def test_a_start_that_cannot_work_ends_with_one_line(tmp_path, arguments, says):
+STARTS = """
+import sys, rclpy
+from finger_sim.ros.node import main
+scene, *overrides = sys.argv[1:]
+for override in overrides:
+    code = main(["--ros-args", "-p", f"scene:={scene}", "-p", override])
+    rclpy.try_shutdown()
+    print("ended with", code, file=sys.stderr, flush=True)
+"""
+
+
+def test_a_start_that_cannot_work_ends_with_one_line(tmp_path):
     """Exit code not 0, the reason by name, no traceback."""
-    scene = write_block(tmp_path)
-    with NodeProcess(tmp_path / "log", "-p", f"scene:={scene}", *arguments) as node:
-        assert node.code() != 0
-        assert says in node.output
-        assert "Traceback" not in node.output
+    starts = {
+        "scene:=no_such_scene": "no_such_scene",
+        "dt:=0.5": "dt",
+        "dt:=fast": "dt",
+        "dt:=[0.1": "dt",
+        "plane.friction:=-1.0": "plane.friction",
+        "plane.fricton:=0.2": "plane.fricton: got 0.2, allowed: no value: the node has no such parameter; did",
+        "record:=true": "record: got True, allowed: a text (Path of a bag",
+        "wrench_frame:=sensor": "wrench_frame",
+        "record:=/proc/no/such/place": "/proc/no/such/place",
+    }
+    with NodeProcess(tmp_path / "log", program=("-c", STARTS, str(write_block(tmp_path)), *starts)) as node:
+        assert node.code() == 0, node.output
+        output = node.output
+    assert "Traceback" not in output
+    said = output.split("ended with 1\n")
+    assert len(said) == len(starts) + 1, output
+    for text, (override, says) in zip(said, starts.items(), strict=False):
+        assert says in text, override

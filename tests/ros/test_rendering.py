@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,46 +13,49 @@ pytest.importorskip("rclpy")
 
 from finger_sim import Pose, Scene
 from finger_sim.ros.inbox import Command
-from finger_sim.ros.parameters import NodeOptions
+from finger_sim.ros.options import NodeOptions
+from finger_sim.ros.outputs import Outputs
 from finger_sim.ros.stepper import Stepper
 
 
-def stepper(**options: Any) -> Stepper:
-    outputs: Any = SimpleNamespace(options=NodeOptions(**options))
-    return Stepper(Scene.load("finger_coupled"), outputs, None, None)
+def stepper(**options: Any) -> tuple[Stepper, NodeOptions]:
+    """And its options."""
+    return Stepper(Scene.load("finger_coupled"), SimpleNamespace(), None, None), NodeOptions(**options)  # type: ignore[arg-type]
 
 
 FORCE = np.array([0.0, 0.0, 4.0, 0.0, 0.1, 0.0])
 
 
 def test_it_comes_in_on_a_ramp_and_anew_after_a_pause() -> None:
-    node = stepper(force_ramp=0.1)
+    node, options = stepper(force_ramp=0.1)
     for _ in range(2):
-        first = [node._rendered(FORCE)[2] for _ in range(150)]
+        first = [node._rendered(FORCE, options)[2] for _ in range(150)]
         assert first[:100] == pytest.approx(0.04 * np.arange(1, 101))
         assert first[100:] == pytest.approx([4.0] * 50)
         assert not node._silenced().any()
 
 
 def test_the_clamps_hold_after_the_scale_too() -> None:
-    node = stepper(force_ramp=0.0, force_scale=5.0)
-    assert node._rendered(FORCE) == pytest.approx([0.0, 0.0, 10.0, 0.0, 0.5, 0.0])
-    assert stepper(force_ramp=0.0, force_scale=0.0)._rendered(FORCE) == pytest.approx(np.zeros(6))
+    node, options = stepper(force_ramp=0.0, force_scale=5.0)
+    assert node._rendered(FORCE, options) == pytest.approx([0.0, 0.0, 10.0, 0.0, 0.5, 0.0])
+    node, options = stepper(force_ramp=0.0, force_scale=0.0)
+    assert node._rendered(FORCE, options) == pytest.approx(np.zeros(6))
 
 
 def test_what_is_not_finite_is_not_sent() -> None:
-    assert not stepper()._rendered(np.array([np.nan, 0.0, 1.0, 0.0, 0.0, 0.0])).any()
+    node, options = stepper()
+    assert not node._rendered(np.array([np.nan, 0.0, 1.0, 0.0, 0.0, 0.0]), options).any()
 
 
 def test_between_commands_the_port_keeps_the_delay_of_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 30 ms here and 30 back, and what passed since its receipt."""
-    node, told = stepper(), []
+    (node, options), told = stepper(), []
     monkeypatch.setattr(node.port, "step", lambda wrench, motion, delay, fresh: told.append((delay, fresh)))
     monkeypatch.setattr("finger_sim.ros.stepper.time.monotonic", lambda: 5.002)
     command = Command(Pose(), 5.0, 0.03)
-    node._passive(FORCE, command)
+    node._passive(FORCE, command, options)
     node._followed = command
-    node._passive(FORCE, command)
+    node._passive(FORCE, command, options)
     assert told == [(pytest.approx(0.062), True), (pytest.approx(0.062), False)]
 
 
@@ -69,3 +73,40 @@ def test_a_target_of_the_plane_is_taken_once() -> None:
         node.tick()
         node.tick()
     assert taken == [targets[0], None, targets[1], None]
+
+
+class Changing(Outputs):
+    """Its options change with every look at them, as where another thread sets parameters."""
+
+    looks = 0
+
+    @property
+    def options(self) -> NodeOptions:
+        self.looks += 1
+        on = 60.0 * (self.looks % 2)
+        return NodeOptions(mesh_rate=on, marker_rate=on, passivity=("observe", "control")[self.looks % 2])
+
+    @options.setter
+    def options(self, _: NodeOptions) -> None: ...
+
+
+def test_a_step_works_on_one_snapshot_of_the_options() -> None:
+    """However often they change, a step looks once: what it decides by is what it computes with."""
+    publisher: Any = SimpleNamespace(topic_name="/t", publish=lambda _: None, get_subscription_count=lambda: 1)
+    outputs = Changing(SimpleNamespace(create_publisher=lambda *_: publisher), NodeOptions())
+    clock: Any = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=0))
+    scene = Scene.from_dict(
+        {
+            "mesh": {"beam": {"size": [0.02, 0.01, 0.01], "cells": [2, 1, 1]}},
+            "driven": {"box": [[-1, -1, 0.0099], [1, 1, 1]]},
+            "plane": {},
+        }
+    )
+    node = Stepper(scene, outputs, clock, SimpleNamespace(warning=print, info=print))
+    node.prepare(lambda _: None)
+    for step in range(20):
+        node.newest = Command(Pose((0.0, 0.0, 0.01 - 1e-5 * step)), time.monotonic())
+        before = outputs.looks
+        node.tick()
+        assert outputs.looks == before + 1
+    assert outputs.mesh_messages > 0

@@ -24,10 +24,13 @@ def installed() -> bool:
     return True
 
 
-pytestmark = pytest.mark.skipif(
-    not installed(),
-    reason="finger_sim is not installed here: pip install -e '.[ros]' puts the executable in place",
-)
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.skipif(
+        not installed(),
+        reason="finger_sim is not installed here: pip install -e '.[ros]' puts the executable in place",
+    ),
+]
 
 
 @pytest.fixture
@@ -56,7 +59,7 @@ def test_the_executable_is_where_ros2_run_looks(ament):
     assert os.access(Path(ament.get_package_prefix("finger_sim")) / "lib" / "finger_sim" / "finger_node", os.X_OK)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_the_executable_runs_as_a_node(tmp_path, number):
     """As ros2 run starts it: arguments through, topics there, exit code 0 on either signal."""
     arguments = ("-p", f"scene:={write_block(tmp_path)}", "-r", "pose:=/finger/pose")

@@ -1,21 +1,25 @@
 """What the node sends arrives as the message that was meant; commands of no sense are refused.
 
-Bytes are not compared: those that align a number after a name are whatever lay in rclpy's memory.
+Bytes are not compared with rclpy's: there those that align a number after a name are whatever lay in memory.
 """
 
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import ros_helpers  # noqa: F401  (skips without ROS; checks fields of messages)
+from cases import for_each
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import PointCloud2, PointField
+from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
+from finger_sim.bags import cdr
 from finger_sim.bags.layout import POINT_DTYPE, pack_points
 from finger_sim.ros import messages
 from finger_sim.scene import Pose
@@ -32,7 +36,7 @@ def stamped(kind, frame_id):
     return message
 
 
-@pytest.mark.parametrize("frame_id", ["w", "world", "finger_world_aligned"])
+@for_each("frame_id", ["w", "world", "finger_world_aligned"])
 def test_a_wrench_arrives_as_the_message(frame_id):
     """A filled template arrives as the message, whatever the length of the frame's name."""
     values = RNG.normal(size=6)
@@ -44,7 +48,7 @@ def test_a_wrench_arrives_as_the_message(frame_id):
     assert deserialize_message(filled, WrenchStamped) == message
 
 
-@pytest.mark.parametrize("frame_id", ["w", "world", "finger_world_aligned"])
+@for_each("frame_id", ["w", "world", "finger_world_aligned"])
 def test_a_pose_arrives_as_the_message(frame_id):
     """A filled template arrives as the message; float32 and int values as what they are."""
     values = (np.float32(1.5), 1, -2.0, 0.0, 0.0, 0.0, 1)
@@ -54,6 +58,16 @@ def test_a_pose_arrives_as_the_message(frame_id):
     filled = messages.pose_template(frame_id).fill(STAMP, messages.doubles(values))
     assert len(filled) == len(serialize_message(message))
     assert deserialize_message(filled, PoseStamped) == message
+
+
+@pytest.mark.parametrize("frame_id", ["w", "world", "finger_world_aligned"])
+def test_the_node_sends_the_bytes_that_a_replay_writes(frame_id):
+    """Also those that align a number after a name: recordings of the same steps are the same files."""
+    wrench, pose = RNG.normal(size=6), RNG.normal(size=7)
+    filled = messages.wrench_template(frame_id).fill(STAMP, messages.doubles(wrench))
+    assert filled == cdr.wrench_stamped(STAMP, frame_id, wrench)
+    filled = messages.pose_template(frame_id).fill(STAMP, messages.doubles(pose))
+    assert filled == cdr.pose_stamped(STAMP, frame_id, pose[:3], pose[3:])
 
 
 def test_cloud_arrives_with_its_fields():
@@ -104,7 +118,7 @@ def test_a_block_of_another_length_is_refused():
 def test_topology_keeps_indices():
     """Triangles index the vertices as the mesh does."""
     vertices, triangles = RNG.normal(size=(5, 3)), np.array([[0, 1, 2], [2, 3, 4]], np.int32)
-    mesh = messages.topology_message(vertices, triangles)
+    mesh = deserialize_message(cdr.mesh(vertices, triangles), Mesh)
     assert [list(t.vertex_indices) for t in mesh.triangles] == triangles.tolist()
     np.testing.assert_array_equal([[p.x, p.y, p.z] for p in mesh.vertices], vertices)
 
@@ -129,8 +143,8 @@ def checked(message):
     return messages.check_pose(messages.read_pose(serialize_message(message)), "world")
 
 
-@pytest.mark.parametrize("frame_id", ["", "w", "map", "base", "world", "tool_0", "fingers", "ängström", "a" * 1000])
-@pytest.mark.parametrize("swapped", [False, True])
+@for_each("frame_id", ["", "w", "map", "base", "world", "tool_0", "fingers", "ängström", "a" * 1000])
+@for_each("swapped", [False, True])
 def test_a_pose_is_read_as_it_was_sent(frame_id, swapped):
     """Whatever the length of the frame's name, and whatever order its bytes are in: written by rclpy and by rosbags."""
     values = tuple(RNG.normal(size=7).tolist())
@@ -144,19 +158,47 @@ def test_a_pose_is_read_as_it_was_sent(frame_id, swapped):
     assert messages.read_pose(data) == (STAMP, frame_id, values)
 
 
-@pytest.mark.parametrize(
-    "data",
-    [b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 12, b"\7" * 96, WHOLE[:40], WHOLE[:-1]],
-    ids=["nothing", "header only", "a name without end", "no CDR", "cut in the position", "a byte short"],
-)
+@for_each("data", [b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 12, b"\7" * 96, WHOLE[:40], WHOLE[:-1]])
 def test_bytes_that_are_no_pose_are_refused(data):
     """Cut off, or never one."""
     with pytest.raises(ValueError, match="bytes that are no PoseStamped"):
         messages.read_pose(data)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "says"),
+def test_a_stamp_that_is_no_time_is_refused():
+    """In either order of bytes; the latest that is one is taken, and can be sent."""
+    store, kind = get_typestore(Stores.ROS2_JAZZY), "geometry_msgs/msg/PoseStamped"
+    for sec, nanosec in ((-1, 0), (0, 1_000_000_000), (2**31 - 1, 2**32 - 1), (-(2**31), 2**32 - 1)):
+        message = pose_message()
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+        data = serialize_message(message)
+        swapped = bytes(store.serialize_cdr(store.deserialize_cdr(data, kind), kind, little_endian=False))
+        for way in (data, swapped):
+            with pytest.raises(ValueError, match=rf"stamp of {sec} s and {nanosec} ns, must be sec >= 0"):
+                messages.read_pose(way)
+    message.header.stamp.sec, message.header.stamp.nanosec = 2**31 - 1, 999_999_999
+    latest = messages.read_pose(serialize_message(message)).stamp
+    filled = messages.pose_template("world").fill(latest, messages.doubles(np.zeros(7)))
+    assert deserialize_message(filled, PoseStamped).header.stamp == message.header.stamp
+
+
+@pytest.mark.parametrize("nanoseconds", [-5, 2**62])
+def test_a_clock_that_shows_no_time_of_a_header_gives_the_nearest(nanoseconds):
+    """Whoever publishes /clock may set it to what no header can hold."""
+    clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=nanoseconds))
+    filled = messages.pose_template("world").fill(messages.time_of(clock), messages.doubles(np.zeros(7)))
+    assert deserialize_message(filled, PoseStamped).header.stamp.sec == (0 if nanoseconds < 0 else 2**31 - 1)
+
+
+def test_a_refusal_shows_the_beginning_of_a_long_frame_id():
+    """What anyone sends is told again in the log, and on /diagnostics every second."""
+    refusal = checked(pose_message(frame_id="a" * 1_000_000))
+    assert len(refusal) < 200
+    assert "999920 characters more" in refusal
+
+
+@for_each(
+    "wrong, says",
     [
         ({"frame_id": "map"}, "frame_id 'map'"),
         ({"frame_id": ""}, "frame_id ''"),

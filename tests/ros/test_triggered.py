@@ -15,6 +15,8 @@ from finger_sim import Scene
 from finger_sim.bags.reader import BagReader
 from finger_sim.simulation import replay
 
+pytestmark = pytest.mark.ros
+
 
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
@@ -101,6 +103,28 @@ def test_a_command_without_a_stamp_gets_the_time_of_ros(client):
     client.until(lambda: poses[-1].header.stamp.sec == 1234, tick)
 
 
+def test_a_stamp_or_a_clock_that_is_no_time_ends_nothing(client, node):
+    """Such a command or pose of the plane is refused, counted and named; the next good command is answered."""
+    _, _, poses = started(client)
+    planes, clocks = (
+        client.node.create_publisher(*what, 10) for what in ((PoseStamped, "plane_pose"), (Clock, "/clock"))
+    )
+    for sec, nanosec in ((2**31 - 1, 2**32 - 1), (-1, 0)):
+        message = command(0.009)
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+        for send, what in ((client.publish, "command"), (planes.publish, "plane_pose")):
+            told = f"{what}: stamp of {sec} s and {nanosec} ns"
+            told_now = lambda told=told: told in client.reports[-1].status[0].message  # noqa: E731
+            client.until(told_now, lambda send=send, message=message: send(message))
+        client.until(clocks.get_subscription_count)
+        clocks.publish(Clock(clock=message.header.stamp))
+        count = len(poses)
+        client.until(lambda count=count: len(poses) > count, lambda: client.command(0.009))
+    node.wait_for("Seconds value must not be negative")
+    clocks.publish(Clock(clock=command(0.0).header.stamp.__class__(sec=1234)))
+    client.until(lambda: poses[-1].header.stamp.sec == 1234, lambda: client.command(0.009))
+
+
 def test_parameters_and_services_are_answered_between_commands(client):
     """No command need come for it."""
     assert client.set("plane.friction", 0.3).successful
@@ -154,7 +178,7 @@ def test_a_recording_replays_to_the_last_bit(tmp_path):
             client.until(lambda k=k: k % 3 or k in numbers(poses))
         client.until(lambda: 99 in numbers(poses))
         assert node.end() == 0
-    summary = replay.run(Scene.load(str(scene)), bag, tmp_path / "again", mode="triggered")
+    summary = replay.run(Scene.load(str(scene)), bag, tmp_path / "again", replay.Selection(mode="triggered"))
     assert summary.steps == 100
     live, again = (
         [m.data[-48:] for m in BagReader(path).messages(["/contact_wrench"])] for path in (bag, tmp_path / "again")

@@ -15,10 +15,13 @@ from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
 from ros_helpers import Client, NodeProcess, command, environment, write_block
 from shape_msgs.msg import Mesh
 
 from finger_sim.bags.reader import BagReader
+
+pytestmark = pytest.mark.ros
 
 RELIABLE = "qos_overrides./command_pose.subscription.reliability:=reliable"
 MANY = QoSProfile(depth=1000)
@@ -159,6 +162,14 @@ def bad_ones():
         q = message.pose.orientation
         q.x, q.y, q.z, q.w = quaternion
         yield message
+    for sec, nanosec in ((-1, 0), (2**31 - 1, 2**32 - 1)):
+        message = command(0.5)
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+        yield message
+    message = command(0.5)
+    message.header.frame_id = "w" * 100_000
+    yield message
+    yield serialize_message(command(0.5)).replace(b"world", b"w\xffrld")
 
 
 def test_every_command_of_no_use_is_counted_and_none_followed(client):
@@ -203,7 +214,7 @@ def test_a_storm_of_parameters_is_answered_one_by_one(client):
     assert client.get("plane.friction") == 0.001 * 299
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM])
 def test_it_ends_while_it_compiles(tmp_path, number):
     """Code 0, without a traceback; the bag that was asked for was not begun."""
     arguments = ("-p", f"scene:={write_block(tmp_path)}", "-p", f"record:={tmp_path / 'bag'}")

@@ -32,7 +32,12 @@ def mesh_of(source: str | int) -> TetMesh:
 
 
 every_finger = pytest.mark.parametrize(
-    "source", [SHIPPED, *(pytest.param(tets, marks=needs_gmsh) for tets in (347, 2_000, 10_000))]
+    "source",
+    [
+        SHIPPED,
+        *(pytest.param(tets, marks=needs_gmsh) for tets in (347, 2_000)),
+        pytest.param(10_000, marks=[needs_gmsh, pytest.mark.slow]),
+    ],
 )
 
 
@@ -273,7 +278,7 @@ def test_without_gmsh_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_gmsh_is_imported_only_when_a_finger_is_made() -> None:
     """Importing the generators and making a beam needs no gmsh."""
-    code = "import sys, finger_sim.meshing as m; m.beam(); assert 'gmsh' not in sys.modules"
+    code = "import sys, finger_sim.scene.meshing as m; m.beam(); assert 'gmsh' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -19,10 +19,10 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from finger_sim.bags import cdr
-from finger_sim.bags.layout import POINT_NAMES, express_wrench, node_strain, pack_points, place, wrench_frame_id
+from finger_sim.bags.layout import POINT_NAMES, express_wrench, node_strain, pack_points, wrench_frame_id
 from finger_sim.bags.reader import BagReader, BagWriter, read_commands, write_commands
 from finger_sim.errors import BagError
-from finger_sim.scene import Pose, Scene
+from finger_sim.scene import Pose, Scene, place
 from finger_sim.simulation import replay
 
 START = 1_700_000_000_123_456_789

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import for_each
 from numpy.testing import assert_allclose, assert_array_equal
 from physics_helpers import UNFIT, Array, beam_scene, finger_scene, healthy, lumped_mass, pose, run
 from processes import python
@@ -167,7 +168,7 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("position", "orientation"), BAD, ids=str)
+@for_each("position, orientation", BAD)
 def test_bad_commands_are_refused_and_change_nothing(position: Any, orientation: Any) -> None:
     """NaN, ±∞, far positions and zero quaternions: SceneError by step and reset; the run goes on as if unheard."""
     sim, undisturbed = Simulator(pressed_block()), Simulator(pressed_block())
@@ -181,7 +182,7 @@ def test_bad_commands_are_refused_and_change_nothing(position: Any, orientation:
     assert fingerprint(sim, sim.step()) == fingerprint(undisturbed, undisturbed.step())
 
 
-@pytest.mark.parametrize("bad", ["shape", "nan", "inf"])
+@for_each("bad", ["shape", "nan", "inf"])
 def test_bad_states_are_refused_and_change_nothing(bad: str) -> None:
     """set_state takes all or nothing: a wrong second array leaves the first one's place untouched too."""
     sim, undisturbed = Simulator(pressed_block()), Simulator(pressed_block())
@@ -334,8 +335,8 @@ def test_iteration_limit() -> None:
     assert seen & Status.ITERATION_LIMIT
 
 
-@pytest.mark.parametrize("speed", [1e100, 1e160, 1e300])
-@pytest.mark.parametrize("driven", [True, False])
+@for_each("speed", [1e100, 1e160, 1e300])
+@for_each("driven", [True, False])
 def test_a_step_beyond_all_bounds_is_rejected(speed: float, driven: bool) -> None:
     """Velocities that overflow what is computed of them: such a step is not taken, and says so.
 
@@ -475,8 +476,8 @@ def test_applied_values_are_those_of_a_scene_made_with_them() -> None:
         assert fingerprint(applied, applied.step(stroke(k))) == fingerprint(built, built.step(stroke(k)))
 
 
-@pytest.mark.parametrize(
-    ("values", "key"),
+@for_each(
+    "values, key",
     [
         ({"plane.friction": 0.1, "material.young": 1e5}, "material.young"),
         ({"plane.friction": 0.1, "plane.frictoin": 1.0}, "plane.frictoin"),
@@ -486,7 +487,6 @@ def test_applied_values_are_those_of_a_scene_made_with_them() -> None:
         ({"plane.friction": math.nan}, "plane.friction"),
         ({"dt": 0.01}, "dt"),
     ],
-    ids=str,
 )
 def test_refused_values_change_nothing(values: dict[str, Any], key: str) -> None:
     """One value that is not live, unknown or out of range: none of them is taken."""

@@ -18,8 +18,8 @@ import numba
 import numpy as np
 
 from ...arrays import Floats
-from ...bags.layout import place
 from ...physics.ready import advance
+from ...scene import place
 from .scenes import PHASES, BenchError, Ours, Record, Runner
 
 Meter = Callable[[float, float], None]

@@ -13,7 +13,7 @@ from rich.table import Table
 from ...console import table
 from ...errors import MissingExtraError
 from ...physics.clock import STAGES
-from ...plain import plain
+from ...plain import plain, whole_file
 from .bench import Report
 from .figures import UNIT_SIZE, Row
 from .scenes import BASE, CONVERGED, DEPTH, LIMITS, MESHES, PHASES, SPEED, BenchError
@@ -55,7 +55,8 @@ def write_json(report: Report, path: Path) -> None:
         row["reached"] = figure.reached
     data["scenes"] = {"base": BASE, "limits": LIMITS, "converged": CONVERGED, "meshes": MESHES}
     try:
-        path.write_text(json.dumps(plain(data), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        with whole_file(path) as file:
+            file.write_text(json.dumps(plain(data), indent=1, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise BenchError(f"--json: {path} cannot be written: {error.strerror}") from None
 
@@ -140,9 +141,11 @@ def _percent(share: float) -> str:
 def draw(report: Report, path: Path) -> None:
     """The plot. Raises BenchError when it cannot be written."""
     try:
-        make_picture(report).savefig(path, dpi=DPI)
+        with whole_file(path) as file:
+            make_picture(report).savefig(file, dpi=DPI)
     except (OSError, ValueError) as error:
-        raise BenchError(f"--plot: {path} cannot be written: {error}") from None
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise BenchError(f"--plot: {path} cannot be written: {reason}") from None
 
 
 def make_picture(report: Report) -> Picture:

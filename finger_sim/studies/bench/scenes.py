@@ -10,10 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from ...arrays import Floats, Ints
-from ...bags.layout import place
 from ...errors import FingerSimError
 from ...physics.step import Status
-from ...scene import Pose, Scene
+from ...scene import Pose, Scene, place
 from ...scene.resources import shipped
 from ...simulation.simulator import Simulator
 from .peers import Peer, PeerCase

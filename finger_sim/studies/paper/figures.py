@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 from ...console import gauge, say
 from ...errors import FingerSimError
 from ...pictures.surfaces import new_figure, save
-from ...plain import plain
+from ...plain import plain, whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
@@ -107,6 +107,7 @@ def write(made: Made) -> None:
         "findings": [dataclasses.asdict(finding) for finding in made.findings],
     }
     try:
-        made.data.write_text(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+        with whole_file(made.data) as file:
+            file.write_text(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise FingerSimError(f"{made.data}: cannot be written: {error.strerror}") from None

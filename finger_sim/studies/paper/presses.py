@@ -20,7 +20,8 @@ from ...physics.rotations import Quaternion, matrix, normalised
 from ...physics.step import Status
 from ...scene import Pose, Scene
 from ...scene.mesh import TetMesh
-from ...simulation.simulator import Simulator, StepResult
+from ...simulation.result import StepResult
+from ...simulation.simulator import Simulator
 from ..strains import biot_strain
 
 GAP, REST = 0.5e-3, 0.3

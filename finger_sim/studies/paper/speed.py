@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ...arrays import Floats, Ints
-from ...bags.strokes import SIDE, Stroke, follow, touch_height
+from ...bags.strokes import SIDE, Stroke, touch_height, trace
 from ...physics.step import Status
 from ...pictures.surfaces import new_figure
 from ...scene import Pose, Scene
@@ -117,7 +117,7 @@ def motion_of(who: Contender, scene: Scene) -> list[Pose]:
     if who.bag is not None:
         return poses(scene, who.bag)
     t = np.arange(0.0, sum(stroke.duration for stroke in SIDE_PRESS), scene.dt)
-    position = follow(SIDE_PRESS, t)
+    position = trace(SIDE_PRESS, t)
     position[:, 2] += touch_height(scene.load_mesh().points, SIDE)
     return [Pose((*p,), SIDE) for p in position.tolist()]
 

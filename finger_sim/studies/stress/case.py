@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -75,8 +76,20 @@ def write(case: Case, folder: Path, why: str) -> Path:
     """Everything that `finger_sim run` needs to go through the case again, and why it was written.
 
     What a bag cannot hold is said in the README: a start that is not at rest, and many cycles.
+    Whatever ends it before its end leaves no folder that was not there before.
     """
+    new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
+    try:
+        _fill(folder, case, why)
+    except BaseException:
+        if new:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return folder
+
+
+def _fill(folder: Path, case: Case, why: str) -> None:
     (folder / SCENE_FILE).write_text(
         yaml.safe_dump(plain(case.scene), sort_keys=False, allow_unicode=True), encoding="utf-8"
     )
@@ -99,4 +112,3 @@ def write(case: Case, folder: Path, why: str) -> Path:
         np.save(folder / START_FILE, case.start)
         lines.append(f"It does not start at rest: Simulator.set_state(positions, 0) with positions from {START_FILE}.")
     (folder / README).write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return folder

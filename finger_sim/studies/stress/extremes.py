@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...bags.layout import place
-from ...scene import Pose, Scene
+from ...scene import Pose, Scene, place
 from . import motions
 from .case import MESH_FILE, Case, RawMesh
 from .motions import STILL, placed, pose

@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...arrays import Floats
-from ...bags.layout import place
 from ...physics.rotations import angle
 from ...physics.step import Status
-from ...scene import Pose, Scene
-from ...simulation.simulator import Simulator, StepResult
+from ...scene import Pose, Scene, place
+from ...simulation.result import StepResult
+from ...simulation.simulator import Simulator
 from .energy import Ledger, Moment
 from .measures import Body, Shape, polar, strain_ratio
 

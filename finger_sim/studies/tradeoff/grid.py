@@ -22,11 +22,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ...errors import SceneError
 from ...scene import Scene
-from ...scene.scene import _Loader
+from ...scene.fields import UNKNOWN_KEY
+from ...scene.yaml_text import YamlText
 from .errors import TradeoffError
 
 HOW = ("dt", "substeps", "limits.viscosity", "limits.inertia", "plane.stiffness")
@@ -104,26 +103,34 @@ class Grid:
     def load(path: Path) -> Grid:
         """Read a grid. Raises TradeoffError naming the file and the key."""
         try:
-            data = yaml.load(path.read_text(encoding="utf-8"), _Loader)
-        except OSError as error:
-            raise TradeoffError(f"--grid: {path}: cannot be read: {error.strerror}") from None
-        except (yaml.YAMLError, UnicodeDecodeError, SceneError) as error:
-            raise TradeoffError(f"--grid: {path}: not well-formed YAML: {' '.join(str(error).split())}") from None
-        allowed: dict[str, type] = {"base": dict, "sweeps": dict, "product": dict, "points": list}
-        words: dict[type, str] = {dict: "dotted keys and what they become", list: "a list of blocks of dotted keys"}
-        if not isinstance(data, dict) or not data:
-            raise TradeoffError(f"--grid: {path}: got {data!r}, allowed: a block with the keys {', '.join(allowed)}")
-        for key, value in data.items():
-            if key not in allowed:
-                raise TradeoffError(f"--grid: {path}: {key}: no such key; known here: {', '.join(allowed)}")
-            if not isinstance(value, allowed[key]):
-                raise TradeoffError(f"--grid: {path}: {key}: got {value!r}, allowed: {words[allowed[key]]}")
-        for part, name, values in ((p, n, v) for p in ("sweeps", "product") for n, v in data.get(p, {}).items()):
-            if not isinstance(values, list) or not values:
-                raise TradeoffError(f"--grid: {path}: {part}.{name}: got {values!r}, allowed: a list of values")
-        if not all(isinstance(point, dict) for point in data.get("points", ())):
-            raise TradeoffError(f"--grid: {path}: points: allowed: {words[list]}")
-        return Grid(**data)
+            text = YamlText(path)
+            try:
+                return Grid(**_checked(text.data))
+            except SceneError as error:
+                raise text.located(error) from None
+        except SceneError as error:
+            raise TradeoffError(f"--grid: {error}") from None
+
+
+def _checked(data: Any) -> dict[str, Any]:
+    """What a grid file holds. Raises SceneError naming the key."""
+    allowed: dict[str, type] = {"base": dict, "sweeps": dict, "product": dict, "points": list}
+    words: dict[type, str] = {dict: "dotted keys and what they become", list: "a list of blocks of dotted keys"}
+    known = ", ".join(allowed)
+    if not isinstance(data, dict) or not data:
+        raise SceneError("grid", data, f"a block with the keys {known}")
+    for key, value in data.items():
+        if key not in allowed:
+            raise SceneError(key, value, f"{UNKNOWN_KEY}; known here: {known}")
+        if not isinstance(value, allowed[key]):
+            raise SceneError(key, value, words[allowed[key]])
+    for part, name, values in ((p, n, v) for p in ("sweeps", "product") for n, v in data.get(p, {}).items()):
+        if not isinstance(values, list) or not values:
+            raise SceneError(f"{part}.{name}", values, "a list of values")
+    for number, point in enumerate(data.get("points", ())):
+        if not isinstance(point, dict):
+            raise SceneError(f"points[{number}]", point, "a block of dotted keys")
+    return data
 
 
 DEFAULT = Grid(

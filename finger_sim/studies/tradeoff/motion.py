@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import Floats
-from ...bags.layout import place
 from ...bags.reader import read_commands
-from ...bags.strokes import Stroke, follow
+from ...bags.strokes import Stroke, trace
 from ...haptics.coupling import between
 from ...physics.rotations import matrix
-from ...scene import Pose, Scene
+from ...scene import Pose, Scene, place
 from ...scene.resources import find_bag
 from .errors import TradeoffError
 
@@ -108,7 +107,7 @@ def press(scene: Scene) -> Motion:
     if np.linalg.norm(along) < 0.1:
         along = np.cross(normal, matrix(turn)[:, 1])
     times = np.arange(round(sum(stroke.duration for stroke in STROKES) * KNOT_RATE) + 1) / KNOT_RATE
-    place_of = follow(STROKES, times)
+    place_of = trace(STROKES, times)
     position = np.outer(place_of[:, 0], along / np.linalg.norm(along)) + np.outer(place_of[:, 2] + touch, normal)
     return Motion(PRESS, times, position, np.tile(np.array(turn), (len(times), 1)))
 

@@ -1,7 +1,7 @@
 """The presets that the study justifies: finger_haptic, solved in four ways, each with what it was measured to do.
 
 `python -m finger_sim.studies.tradeoff.presets FOLDER` measures and writes them anew: NAME.yaml and claims.yaml,
-which tests/test_tradeoff.py holds them to.
+which tests/studies/tradeoff/test_tradeoff.py holds them to.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PRESETS: dict[str, tuple[str, Mapping[str, Any]]] = {
         {"dt": 4e-3, **LAGGED, "solver.tolerance": 1e-2, "plane.stiffness": 120.0},
     ),
     "haptic": (
-        "for 1 kHz with time to spare: one stiffness matrix for four steps, a stiffer contact",
+        "for 1 kHz with time to spare: one stiffness matrix for four steps",
         {**LAGGED, "plane.stiffness": 250.0},
     ),
     "balanced": (

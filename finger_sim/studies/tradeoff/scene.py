@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 
+from ...plain import whole_file
 from ...scene import Limits, Plane, Scene
 from .clock import Times
 from .errors import TradeoffError
@@ -65,7 +66,8 @@ def write_scene(path: Path, scene: Scene, comments: Sequence[str]) -> Path:
     text = "".join(f"# {line}\n" for line in lines)
     text += yaml.safe_dump(short(scene), sort_keys=False, default_flow_style=None, width=WIDTH)
     try:
-        path.write_text(text, encoding="utf-8")
+        with whole_file(path) as file:
+            file.write_text(text, encoding="utf-8")
     except OSError as error:
         raise TradeoffError(f"{path}: cannot be written: {error.strerror}") from None
     return path

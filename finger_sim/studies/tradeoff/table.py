@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ...plain import whole_file
 from ...scene import Scene
 from .clock import Times
 from .errors import TradeoffError
@@ -154,7 +155,7 @@ def _settings(scene: Scene) -> dict[str, Any]:
 def write_csv(rows: Sequence[Row], path: Path) -> Path:
     """All rows; what is not known is left empty. Raises TradeoffError when the file cannot be written."""
     try:
-        with path.open("w", newline="", encoding="utf-8") as file:
+        with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file)
             table.writerow([f.name for f in fields(Row)])
             for one in rows:

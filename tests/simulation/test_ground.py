@@ -8,8 +8,8 @@ from physics_helpers import Array, pose
 from scipy.spatial.transform import Rotation
 
 from finger_sim import Pose, Scene, SceneError, Simulator
-from finger_sim.haptics.plane_motion import PlaneMotion
-from finger_sim.scene import Coupling
+from finger_sim.scene import Coupling, Plane
+from finger_sim.simulation.ground import Ground
 
 LAID = Rotation.from_euler("x", 90, degrees=True)
 DOWN = 0.0058
@@ -120,27 +120,27 @@ def test_a_finger_asleep_wakes_when_the_plane_moves() -> None:
 
 def test_targets_that_come_seldom_give_an_even_motion() -> None:
     """A target every ten steps: reached in ten, at the speed that they were sent with; then it stops."""
-    motion, coupling, heights, speeds = PlaneMotion(), Coupling(), [], []
+    motion, coupling, heights, speeds = Ground(Plane()), Coupling(), [], []
     for k in range(100):
-        motion.step(pose((0, 0, 1e-3 * k)) if k % 10 == 0 else None, coupling, 0.001)
+        motion.advance(pose((0, 0, 1e-3 * k)) if k % 10 == 0 else None, coupling, 0.001)
         assert motion.pose is not None
         heights.append(motion.pose.position[2])
         speeds.append(motion.twist[2])
     assert speeds[12:] == pytest.approx([1.0] * 88)
     assert np.diff(heights[12:]) == pytest.approx(1e-3)
     for _ in range(20):
-        motion.step(None, coupling, 0.001)
+        motion.advance(None, coupling, 0.001)
     assert motion.pose.position[2] == pytest.approx(0.09)
     assert not motion.twist.any()
-    assert not motion.step(None, coupling, 0.001)
+    assert not motion.advance(None, coupling, 0.001)
 
 
 def test_it_moves_no_faster_than_the_coupling_allows() -> None:
-    motion, coupling = PlaneMotion(), Coupling(max_speed=0.5, max_angular_speed=3.0)
-    motion.step(pose(), coupling, 0.001)
-    motion.step(pose((1.0, 0, 0), Rotation.from_rotvec([2.0, 0, 0])), coupling, 0.001)
+    motion, coupling = Ground(Plane()), Coupling(max_speed=0.5, max_angular_speed=3.0)
+    motion.advance(pose(), coupling, 0.001)
+    motion.advance(pose((1.0, 0, 0), Rotation.from_rotvec([2.0, 0, 0])), coupling, 0.001)
     for _ in range(50):
-        motion.step(None, coupling, 0.001)
+        motion.advance(None, coupling, 0.001)
         assert np.linalg.norm(motion.twist[:3]) <= 0.5 + 1e-9
         assert np.linalg.norm(motion.twist[3:]) <= 3.0 + 1e-9
 

@@ -9,6 +9,7 @@ import types
 
 import numpy as np
 import pytest
+from cases import for_each
 
 from finger_sim import FingerSimError
 from finger_sim.cli import main
@@ -78,7 +79,7 @@ def test_without_matplotlib_the_extra_is_named(isotropy, tmp_path, capsys, monke
     assert isotropy == []
 
 
-@pytest.mark.parametrize("name", FIGURES)
+@for_each("name", FIGURES)
 def test_every_figure_is_there(name):
     """A module of its own, with what the protocol asks for; the command line knows it."""
     study = importlib.import_module(f"finger_sim.studies.paper.{name}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import random
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from cases import for_each
 
 from finger_sim import MeshError, Pose, Scene, Simulator, Status, StepResult
 from finger_sim.bags.cdr import WRENCH_STAMPED, deserialize
@@ -27,17 +29,42 @@ from finger_sim.studies.stress.stress import Options, Report, by_family, digest,
 
 DIRECTED = {case.name: case for case in directed()}
 SEED, FUZZED = 0, 60
+LONG = {"dt_1e-06_newton", "press_and_slide_20000"}
+"""Each as long as thirty others."""
 
 
-@pytest.mark.parametrize("name", DIRECTED)
+def drawn() -> tuple[list[str], list[int]]:
+    """Of every family of directed cases one, and of the random ones as many as make thirty: the same every time."""
+    rng = random.Random(SEED)
+    families: dict[str, list[str]] = {}
+    for case in DIRECTED.values():
+        if case.name not in LONG:
+            families.setdefault(case.family, []).append(case.name)
+    names = [rng.choice(family) for family in families.values()]
+    return names, sorted(rng.sample(range(FUZZED), 30 - len(names)))
+
+
+NAMES, INDICES = drawn()
+
+
+@for_each("case", [*(DIRECTED[name] for name in NAMES), *(fuzz_case(SEED, index) for index in INDICES)])
+def test_no_case_of_a_draw_fails(case: Case) -> None:
+    """An extreme of each family, and scenes and motions from all over what a scene may say, end as ok, degraded, or
+    refused."""
+    assert run(case).failures == (), case.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in DIRECTED if name not in NAMES])
 def test_no_directed_case_fails(name: str) -> None:
-    """Every extreme by itself ends as ok, degraded, or refused."""
+    """So does every other extreme by itself."""
     assert run(DIRECTED[name]).failures == ()
 
 
-@pytest.mark.parametrize("index", range(FUZZED))
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [index for index in range(FUZZED) if index not in INDICES])
 def test_no_random_case_fails(index: int) -> None:
-    """So do scenes and motions from all over what a scene may say."""
+    """So do the other random ones."""
     assert run(fuzz_case(SEED, index)).failures == ()
 
 
@@ -225,16 +252,17 @@ def test_a_twin_is_met_up_to_a_rigid_motion() -> None:
 
 def test_the_same_seed_is_the_same_to_the_last_bit() -> None:
     """Cases and outcomes, with the positions and wrenches of every step; another seed is another."""
-    first = [run(fuzz_case(3, index)) for index in range(8)]
-    again = [run(fuzz_case(3, index)) for index in range(8)]
+    first = [run(fuzz_case(3, index)) for index in range(3)]
+    again = [run(fuzz_case(3, index)) for index in range(3)]
     assert digest(first) == digest(again)
-    assert digest(first) != digest([run(fuzz_case(4, index)) for index in range(8)])
+    assert digest(first) != digest([run(fuzz_case(4, index)) for index in range(3)])
+    assert {outcome.kind for outcome in first} != {"refused"}
     assert all(outcome.digest for outcome in first if outcome.kind != "refused")
 
 
 def test_random_cases_reach_the_ends() -> None:
     """Every range of the contract is drawn from end to end, and every scene is one that a user could write."""
-    scenes = [fuzz_case(SEED, index).scene for index in range(400)]
+    scenes = [fuzz_case(SEED, index).scene for index in range(150)]
     decades = {"dt": (1e-6, 0.1), "young": (1.0, 1e12), "density": (1.0, 1e5)}
     for key, (low, high) in decades.items():
         values = [scene["dt"] if key == "dt" else scene["material"][key] for scene in scenes]

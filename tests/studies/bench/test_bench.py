@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import for_each
 from numpy.testing import assert_allclose, assert_array_equal
 
 from finger_sim import Pose, Simulator
@@ -249,8 +250,8 @@ def test_absent_peers_cost_the_ratios_only(capsys: pytest.CaptureFixture[str]) -
     assert "no MuJoCo to compare with" in out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
+@for_each(
+    "arguments, says",
     [
         (["--sizes", "350", "500"], "--sizes: got 500, allowed: 350, 2000, 10000"),
         (["--repeats", "0"], "--repeats: got 0"),

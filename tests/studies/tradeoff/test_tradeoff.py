@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from cases import for_each
 
 from finger_sim import FingerSimError, Scene
 from finger_sim.cli import main
@@ -205,7 +206,7 @@ def test_only_what_is_solved_has_another_reference():
     assert 40 <= len(others) <= 70
 
 
-@pytest.mark.parametrize("name", ["finger", "finger_paper", "beam_stiff", "block.yaml"])
+@for_each("name", ["finger", "finger_paper", "beam_stiff", "block.yaml"])
 def test_the_default_grid_fits_other_scenes(block, name):
     """What a scene refuses is left out; no mesh of another body."""
     found = points(name, DEFAULT)
@@ -229,8 +230,8 @@ def test_a_grid_combines(tmp_path):
     assert [point.knob for point in found] == ["base", "solver.tolerance", "solver.tolerance"]
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
+@for_each(
+    "text, says",
     [
         ("", "base, sweeps, product, points"),
         ("[1, 2]", "base, sweeps, product, points"),
@@ -256,8 +257,8 @@ def test_mistakes_in_a_grid_are_named_before_anything_runs(block, capsys, text, 
     assert not Path("tradeoff").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
+@for_each(
+    "arguments, says",
     [
         (["nowhere"], "nowhere"),
         (["--bag", "nowhere"], "nowhere"),
@@ -336,7 +337,7 @@ def cluster():
 def test_a_study_from_start_to_finish_and_again(block, cluster, capsys, monkeypatch):
     """A row for each point, errors that fall with the time step, pictures; a second time nothing is run again."""
     pytest.importorskip("matplotlib")
-    given = ["tradeoff", block, "--grid", "grid.yaml", "--out", "out"]
+    given = ["tradeoff", block, "--grid", "grid.yaml", "--out", "out", "--duration", "0.3"]
     assert main([*given, "--scheduler", cluster.scheduler_address]) == 0
     said = capsys.readouterr()
     assert "left" in said.err
@@ -367,14 +368,13 @@ def test_a_study_from_start_to_finish_and_again(block, cluster, capsys, monkeypa
     assert gone.is_file()
 
 
-def test_a_scheduler_that_is_not_there_is_named_in_time(block, monkeypatch, capsys):
-    """Within CONNECT, and some."""
+@pytest.mark.timeout(60)
+def test_a_scheduler_that_is_not_there_is_not_waited_for(block, monkeypatch, capsys):
+    """No longer than CONNECT."""
     pytest.importorskip("distributed")
     monkeypatch.setattr(pool, "CONNECT", 1.0)
     for address in ("tcp://127.0.0.1:1", "nonsense://here"):
-        begun = time.monotonic()
         assert main(["tradeoff", block, "--grid", "grid.yaml", "--scheduler", address]) == 2
-        assert time.monotonic() - begun < 20.0
         assert f"--scheduler: {address}: not reached" in capsys.readouterr().err.splitlines()[-1]
 
 
@@ -429,7 +429,7 @@ def test_the_most_accurate_that_holds_is_chosen():
 
 def test_a_rate_that_holds_is_written_as_a_scene(block, capsys):
     """The scene loads, at that rate, with its measures above; a rate that nothing holds fails."""
-    assert main(["tradeoff", "--for-rate", "50", "--scene", block, "--out", "out"]) == 0
+    assert main(["tradeoff", "--for-rate", "50", "--scene", block, "--duration", "0.26", "--out", "out"]) == 0
     assert "out/block_50hz.yaml" in capsys.readouterr().out
     scene = Scene.load("out/block_50hz.yaml")
     assert scene.dt == pytest.approx(0.02)
@@ -454,22 +454,44 @@ def test_a_scene_comes_back_as_it_was_written(block, name):
         assert portable(scene)["mesh"] == {"file": "meshes/finger.vtu"}
 
 
-def test_presets_do_what_they_claim():
-    """Errors and work within twice what was measured; the file says the same numbers; found by name."""
-    claims = yaml.safe_load((shipped("config") / "presets" / "claims.yaml").read_text())
-    assert set(claims["presets"]) == set(PRESETS)
-    base = Scene.load(claims["scene"])
-    path = motion(base, None)
-    against = converged(base, path)
-    for name, claimed in claims["presets"].items():
-        scene = Scene.load(f"presets/{name}")
-        assert scene == base.with_values(PRESETS[name][1]), name
-        measured, _, _ = claim(scene, path, against)
-        for key, value in measured.items():
-            assert value <= 2.0 * claimed[key], f"{name}: {key}: {value}, claimed {claimed[key]}"
+PRESSED = 0.26
+"""Of the motion: pressed and held, before the slide [s]."""
+CLAIMS = yaml.safe_load((shipped("config") / "presets" / "claims.yaml").read_text())
+
+
+def test_presets_say_what_they_claim():
+    """Found by name; the file says the numbers of the claims."""
+    assert set(CLAIMS["presets"]) == set(PRESETS)
+    base = Scene.load(CLAIMS["scene"])
+    for name, claimed in CLAIMS["presets"].items():
+        assert Scene.load(f"presets/{name}") == base.with_values(PRESETS[name][1]), name
         text = " ".join((shipped("config") / "presets" / f"{name}.yaml").read_text().replace("#", "").split())
         said = [re.search(form, text) for form in (r"([\d.]+)% RMS", r"median ([\d.]+) ms")]
         numbers = [float(match[1]) for match in said if match]
         np.testing.assert_allclose(
             numbers, [1e2 * claimed["force_error_rms"], 1e3 * claimed["step_median_s"]], atol=0.01
         )
+
+
+def exceeded(names, duration):
+    """Which claims do not hold within a factor of two, on so much of the motion [s]."""
+    base = Scene.load(CLAIMS["scene"])
+    path = motion(base, None, duration)
+    against = converged(base, path)
+    return [
+        f"{name}: {key}: {value}, claimed {CLAIMS['presets'][name][key]}"
+        for name in names
+        for key, value in claim(Scene.load(f"presets/{name}"), path, against)[0].items()
+        if value > 2.0 * CLAIMS["presets"][name][key]
+    ]
+
+
+def test_presets_do_what_they_claim_in_the_press():
+    """Errors and work of the cheapest and of the default, within twice what was measured."""
+    assert exceeded(("fastest", "haptic"), PRESSED) == []
+
+
+@pytest.mark.slow
+def test_presets_do_what_they_claim():
+    """Errors and work of all, on the whole motion, within twice what was measured."""
+    assert exceeded(PRESETS, None) == []

@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from cases import for_each
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -64,8 +65,8 @@ def crossing_axes(angle):
     return FRAME @ Rotation.from_rotvec([0.0, 0.0, 0.5 * angle]).as_matrix()
 
 
-@pytest.mark.parametrize("projection", PROJECTIONS)
-@pytest.mark.parametrize("side", SIDES)
+@for_each("projection", PROJECTIONS)
+@for_each("side", SIDES)
 def test_allowed_strain_by_closed_forms(projection, side):
     """In random directions, to 1e-6 of the limit."""
     ways = np.random.default_rng(3).standard_normal((12, 3))
@@ -110,7 +111,7 @@ def test_path_goes_through_the_diagonals(result):
         assert_allclose(result.on_path[name]["compress"], closed_form(name, ways), atol=1e-6, err_msg=name)
 
 
-@pytest.mark.parametrize("projection", PROJECTIONS)
+@for_each("projection", PROJECTIONS)
 def test_worst_row_by_numpy(projection):
     """Largest strain/limit of all rows, at states around the crossing near and far."""
     for t, delta in ((0.015, 0.002), (-0.01, 0.004), (1e-4, -3e-4), (-1e-6, 2e-6)):

@@ -1,0 +1,51 @@
+"""The verb that makes meshes."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from .common import DONE, verb
+
+
+def add_mesh(verbs: Any) -> None:
+    mesh = verb(verbs, "mesh", None, "make a mesh of a finger or a beam", "finger_sim mesh beam -o beam.vtu")
+    kinds = mesh.add_subparsers(title="kinds", metavar="finger|beam", required=True)
+    finger = verb(
+        kinds,
+        "finger",
+        _mesh,
+        "a finger with its bones (needs the extra [mesh])",
+        "finger_sim mesh finger -o fine.vtu --tets 2000",
+    )
+    finger.add_argument("--tets", type=int, metavar="N", help="about so many tetrahedra (default: 347)")
+    beam = verb(
+        kinds,
+        "beam",
+        _mesh,
+        "a box of bricks, five tetrahedra each",
+        "finger_sim mesh beam -o beam.vtu --size 1 0.2 0.2 --cells 10 2 2",
+    )
+    beam.add_argument("--size", type=float, nargs=3, metavar=("X", "Y", "Z"), help="edges [m] (default: 1 0.2 0.2)")
+    beam.add_argument("--cells", type=int, nargs=3, metavar=("X", "Y", "Z"), help="bricks (default: 10 2 2)")
+    for kind, name in ((finger, "finger"), (beam, "beam")):
+        kind.set_defaults(kind=name)
+        kind.add_argument("-o", "--out", type=Path, required=True, metavar="FILE.vtu", help="file to make")
+        kind.add_argument("--force", action="store_true", help="overwrite the file")
+
+
+def _mesh(options: argparse.Namespace) -> int:
+    from ..bags.reader import require_absent
+    from ..console import console
+    from ..pictures.info import info
+    from ..scene.meshing import write_mesh
+
+    if not options.force:
+        require_absent(options.out)
+    given = {name: getattr(options, name, None) for name in ("tets", "size", "cells")}
+    asked = {name: value for name, value in given.items() if value is not None}
+    write_mesh(options.kind, options.out, **asked)
+    for title, table in info(str(options.out)):
+        console().print(title, table, sep="\n")
+    return DONE

@@ -1,0 +1,211 @@
+"""Verbs that simulate or feed a simulation: demo, run, play, node."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from .common import DONE, FAILED, from_zero, positive, priority, verb
+
+
+def add_demo(verbs: Any) -> None:
+    demo = verb(
+        verbs,
+        "demo",
+        _demo,
+        "the main job: node, commands over ROS 2, recording, picture, table",
+        "finger_sim demo --duration 3 --out first_touch",
+    )
+    add = demo.add_argument
+    add("--scene", default="finger_haptic", help="scene to simulate (default: %(default)s)")
+    add("--bag", default="press_slide", help="bag of commands (default: %(default)s)")
+    add("--topic", help="topic of the commands in the bag")
+    add(
+        "--rate",
+        type=positive,
+        default=1000.0,
+        metavar="HZ",
+        help="steps a second, instead of the scene's dt (default: %(default)g)",
+    )
+    add(
+        "--priority",
+        type=priority,
+        default=20,
+        metavar="N",
+        help="of the loop's thread under SCHED_FIFO, 1 to 99, where permitted; 0: none (default: %(default)s)",
+    )
+    add("--duration", type=positive, metavar="S", help="seconds of the bag (default: all)")
+    add(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="new folder for bag, picture and log (default: finger_sim_demo, finger_sim_demo_2 …)",
+    )
+    add("--strict", action="store_true", help="exit code 1 also where this machine did not hold the rate")
+
+
+def _demo(options: argparse.Namespace) -> int:
+    from ..console import console, say
+    from ..ros.demo import DemoError, run_demo
+
+    try:
+        outcome = run_demo(
+            options.scene, options.bag, options.out,
+            rate=options.rate, priority=options.priority, duration=options.duration, topic=options.topic,
+        )  # fmt: skip
+    except DemoError as error:
+        say(f"finger_sim: the demo failed: {error}")
+        return FAILED
+    console().print(outcome.table())
+    for shortfall in outcome.shortfalls:
+        say(f"finger_sim: not held by this machine: {shortfall}")
+    for advice in outcome.advice:
+        say(f"finger_sim: advice: {advice}")
+    for failure in outcome.failures:
+        say(f"finger_sim: the demo failed: {failure}")
+    failed = outcome.failures or (options.strict and outcome.shortfalls)
+    return FAILED if failed else DONE
+
+
+def add_run(verbs: Any) -> None:
+    run = verb(
+        verbs,
+        "run",
+        _run,
+        "a bag through the simulator, without ROS, bit-identical every time",
+        "finger_sim run finger --bag press_flat -o pressed",
+    )
+    add = run.add_argument
+    add("scene", metavar="SCENE", help="scene to simulate")
+    add("--bag", required=True, metavar="IN", help="bag of commands")
+    add("-o", "--out", type=Path, metavar="OUT", help="bag to make (default: IN_SCENE, here)")
+    add("--topic", help="topic of the commands in the bag")
+    add("--mode", choices=("free", "triggered"), default="free", help="triggered: one step for each command")
+    add("--plane-topic", help="topic of the plane's poses in the bag (default: plane_pose, if it is there)")
+    add(
+        "--start",
+        type=from_zero,
+        default=0.0,
+        metavar="S",
+        help="seconds from the first command on to leave out; the newest command by then places the finger at rest "
+        "there, and the newest pose of the plane holds (default: none)",
+    )
+    add(
+        "--duration",
+        type=positive,
+        metavar="S",
+        help="seconds of the bag from there on: the last step follows the last command or pose of the plane in them "
+        "(default: to the end)",
+    )
+
+
+def _run(options: argparse.Namespace) -> int:
+    from ..bags.reader import require_absent
+    from ..console import console, gauge, say, table
+    from ..scene import Scene
+    from ..scene.resources import find_bag, find_scene
+    from ..simulation.replay import Replay, Selection
+    from ..simulation.simulator import Simulator
+
+    scene, bag = Scene.load(options.scene), find_bag(options.bag)
+    out = options.out or Path(f"{bag.stem}_{find_scene(options.scene).stem}")
+    require_absent(out)
+    selection = Selection(options.topic, options.plane_topic, options.mode, options.start, options.duration)
+    replay = Replay(scene, bag, selection)  # a mistake shows before kernels compile
+    simulator = Simulator(scene, progress=say)
+    try:
+        with gauge(f"simulating {bag}") as meter:
+            done = replay.run(out, meter, simulator=simulator)
+    finally:
+        if replay.remains:
+            say(f"finger_sim: {replay.remains}")
+    if done.warning:
+        say(f"finger_sim: warning: {done.warning}")
+    plane = f"{done.plane_poses} poses on {done.plane_topic}, {done.plane_refused} refused"
+    moved = [("plane", plane)] if done.plane_topic else []
+    status = ", ".join(f"{name} in {steps} steps" for name, steps in done.status.items())
+    rows = table()
+    for row in (
+        ("commands", f"{done.commands} on {done.topic}, {done.refused} refused"),
+        *moved,
+        ("simulated", f"{done.duration:.3f} s in {done.steps} steps"),
+        ("real-time factor", f"{done.real_time_factor:.2f}"),
+        ("step time", f"median {1e3 * done.step_median:.3f} ms, p99 {1e3 * done.step_p99:.3f} ms"),
+        ("peak force", f"{done.peak_force:.4g} N at {done.peak_force_time:.3f} s"),
+        ("most tetrahedra at a limit", str(done.limited_tets)),
+        ("max strain/limit", f"{done.max_strain_ratio:.3f}"),
+        ("max penetration", f"{1e3 * done.max_penetration:.4f} mm"),
+        ("solver status", status or "OK"),
+        ("bag", str(done.out)),
+    ):
+        rows.add_row(*row)
+    console().print(rows)
+    return DONE
+
+
+def add_play(verbs: Any) -> None:
+    play = verb(
+        verbs,
+        "play",
+        _play,
+        "a bag's commands onto a ROS 2 topic in real time",
+        "finger_sim play press_slide --to /finger/command_pose",
+    )
+    add = play.add_argument
+    add("bag", metavar="BAG", help="bag of commands")
+    add("--topic", help="topic of the commands in the bag")
+    add("--to", default="command_pose", metavar="TOPIC", help="topic to send on (default: %(default)s)")
+    add("--frame-id", metavar="FRAME", help="frame_id to send (default: the recorded one)")
+    add("--speed", type=positive, default=1.0, metavar="FACTOR", help="2: twice as fast as recorded")
+    add("--duration", type=positive, metavar="S", help="seconds of the bag (default: all)")
+    add(
+        "--timeout",
+        type=positive,
+        default=10.0,
+        metavar="S",
+        help="how long to wait for a subscriber (default: %(default)g)",
+    )
+
+
+def _play(options: argparse.Namespace) -> int:
+    from ..bags.reader import read_commands
+    from ..console import gauge
+    from ..ros.demo import require_ros
+    from ..scene.resources import find_bag
+
+    commands = read_commands(find_bag(options.bag), options.topic)
+    require_ros()
+    from ..ros.play import play, ros_node
+
+    with ros_node("finger_sim_play") as node, gauge(f"playing {commands.topic}") as meter:
+        played = play(
+            node, commands, topic=options.to, frame_id=options.frame_id, speed=options.speed,
+            duration=options.duration, timeout=options.timeout, progress=meter,
+        )  # fmt: skip
+    print(
+        f"{played.sent} commands on {played.topic} in {played.duration / options.speed:.3f} s, "
+        f"late by {1e3 * played.late_median:.3f} ms (median), {1e3 * played.late_p99:.3f} ms (p99), "
+        f"{1e3 * played.late_max:.3f} ms (most)"
+    )
+    return DONE
+
+
+def add_node(verbs: Any) -> None:
+    verb(
+        verbs,
+        "node",
+        _node,
+        "the ROS 2 node in the foreground, as finger_node of `ros2 run`",
+        "finger_sim node --ros-args -p scene:=finger -p record:=touch -r command_pose:=/device/pose",
+        usage="finger_sim node [-h] [--ros-args …]",
+    )
+
+
+def _node(options: argparse.Namespace) -> int:
+    from ..ros.demo import require_ros
+
+    require_ros()
+    from ..ros.node import main as run_node
+
+    return run_node(options.ros)

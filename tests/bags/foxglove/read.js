@@ -1,0 +1,29 @@
+// Prints the profile of an MCAP file, how many messages it has, and of each the x of its pose and its log time.
+const { McapIndexedReader } = require("@mcap/core");
+const { parse } = require("@foxglove/rosmsg");
+const { MessageReader } = require("@foxglove/rosmsg2-serialization");
+const { FileHandleReadable } = require("@mcap/nodejs");
+const { open } = require("fs/promises");
+const fzstd = require("fzstd");
+const lz4 = require("lz4js");
+const decompressHandlers = {
+  zstd: (data, size) => fzstd.decompress(data, new Uint8Array(Number(size))),
+  lz4: (data) => lz4.decompress(data),
+};
+(async () => {
+  const readable = new FileHandleReadable(await open(process.argv[2], "r"));
+  const reader = await McapIndexedReader.Initialize({ readable, decompressHandlers });
+  const readers = new Map();
+  const out = { profile: reader.header.profile, count: Number(reader.statistics.messageCount), x: [], times: [] };
+  for await (const message of reader.readMessages()) {
+    const channel = reader.channelsById.get(message.channelId);
+    const schema = reader.schemasById.get(channel.schemaId);
+    if (!readers.has(schema.id)) {
+      const definition = parse(new TextDecoder().decode(schema.data), { ros2: true });
+      readers.set(schema.id, new MessageReader(definition));
+    }
+    out.x.push(readers.get(schema.id).readMessage(message.data).pose.position.x);
+    out.times.push(String(message.logTime));
+  }
+  console.log(JSON.stringify(out));
+})();
