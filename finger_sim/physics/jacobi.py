@@ -83,28 +83,35 @@ def eigen(B: Symmetric) -> tuple[Vector, Vector, Vector, Vector]:
 
 
 @stage
-def diagonalise(B: Floats, V: Floats) -> None:
-    """B (n, n), symmetric, becomes its eigenvalues on its diagonal; V (n, n) out: unit eigenvectors, by columns."""
-    size = B.shape[0]
-    for i in range(size):
-        for j in range(size):
+def diagonalise4(N: Floats, V: Floats) -> None:
+    """N (4, 4), symmetric, becomes its eigenvalues on its diagonal; V (4, 4) out: unit eigenvectors, by columns.
+
+    Its rotations come from 1 / tan 2θ as those of `turn_columns`, and its sweeps are a fixed number: a body that
+    starts half round begins with this, and other last bits here are other last bits in all of its run.
+    """
+    for i in range(4):
+        for j in range(4):
             V[i, j] = 1.0 if i == j else 0.0
     for _ in range(_SWEEPS):
-        off = on = 0.0
-        for p in range(size):
-            on += B[p, p] * B[p, p]
-            for q in range(p + 1, size):
-                off += B[p, q] * B[p, q]
-        if not off > _ROUND_OFF * on:
-            break
-        for p in range(size):
-            for q in range(p + 1, size):
-                _, c, s = turn(B[p, p], B[q, q], B[p, q])
-                for i in range(size):
-                    B[i, p], B[i, q] = c * B[i, p] - s * B[i, q], s * B[i, p] + c * B[i, q]
-                    V[i, p], V[i, q] = c * V[i, p] - s * V[i, q], s * V[i, p] + c * V[i, q]
-                for i in range(size):
-                    B[p, i], B[q, i] = c * B[p, i] - s * B[q, i], s * B[p, i] + c * B[q, i]
+        for p in range(3):
+            for q in range(p + 1, 4):
+                _turn4(N, V, p, q)
+
+
+@stage
+def _turn4(N: Floats, V: Floats, p: int, q: int) -> None:
+    """Turn rows and columns p, q of symmetric N (4, 4), and columns of V, so that N[p, q] vanishes."""
+    if N[p, q] == 0.0:
+        return
+    theta = (N[q, q] - N[p, p]) / (2.0 * N[p, q])
+    tangent = (1.0 if theta >= 0.0 else -1.0) / (abs(theta) + math.sqrt(1.0 + theta * theta))
+    cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
+    sine = tangent * cosine
+    for i in range(4):
+        N[i, p], N[i, q] = cosine * N[i, p] - sine * N[i, q], sine * N[i, p] + cosine * N[i, q]
+        V[i, p], V[i, q] = cosine * V[i, p] - sine * V[i, q], sine * V[i, p] + cosine * V[i, q]
+    for i in range(4):
+        N[p, i], N[q, i] = cosine * N[p, i] - sine * N[q, i], sine * N[p, i] + cosine * N[q, i]
 
 
 @kernel

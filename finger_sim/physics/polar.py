@@ -14,7 +14,7 @@ import math
 
 from ..arrays import Floats
 from .compile import formula, stage
-from .jacobi import diagonalise
+from .jacobi import diagonalise4
 from .lanes import Lanes, bits, lane, load8, splat8, sqrt, store8, where
 from .rotations import matrix_entries
 
@@ -141,7 +141,7 @@ def _from_scratch(F: Matrix, l: int, N: Floats, V: Floats) -> None:
         N[i, i] = 2.0 * N[i, i] - trace
         N[3, i] = N[i, 3]
     N[3, 3] = trace
-    diagonalise(N, V)
+    diagonalise4(N, V)
     best = 0
     for k in range(1, 4):
         if N[k, k] > N[best, best]:
