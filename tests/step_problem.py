@@ -20,6 +20,8 @@ SOLVER_GAP = 0.03
 """Least |s_i² − s_k²| in a gradient."""
 NEAR, COINCIDE = 0.85, 0.1
 """`tensor`: two strains of more than the first part of their limit, no further apart than the second, hold like one."""
+CONTACT_MARGIN, MARGIN, RIGID_MARGIN = 0.03, 0.05, 0.15
+"""A row is in the problem within so much of its room: of a contact, of a limit that gives, of one that does not."""
 
 PRECISE = {"tolerance": 1e-11, "max_iterations": 200_000, "settle": False}
 
@@ -67,8 +69,8 @@ class Problem:
 def stepped(sim: Simulator, command: Pose | None, well: bool = True) -> Problem:
     """One step of the simulator, and the same step set up from its positions and velocities by naive.py.
 
-    The problem has every row of every node and tetrahedron: which of them hold is for its solver to find. What the
-    method leaves out because it is far from its limit must make no difference.
+    Rows further from their limit than the documented margins, both now and ahead, are left out, as the method does:
+    ahead is after the unconstrained step with `pgs`, with `newton` after a step at the velocities of now.
     """
     scene, h, state = sim.scene, sim.scene.dt, sim._state
     body = naive.Body.of(scene, sim.mesh)
@@ -81,15 +83,27 @@ def stepped(sim: Simulator, command: Pose | None, well: bool = True) -> Problem:
     v_driven = (sim.positions[driven] - x[driven]) / h
     viscosity = scene.limits.viscosity if scene.limits else 0.0
     system = body.system(x, v, h, driven, v_driven, limit_force, viscosity)
+    if scene.solver.method == "pgs":
+        ahead = system.whole(np.linalg.solve(system.A, system.b)).ravel()
+    else:
+        ahead = v.copy()
+        ahead[driven] = v_driven
+        ahead = ahead.ravel()
 
     parts, nodes = [], np.empty(0, np.int64)
     if scene.plane is not None:
         tangents = scene.plane.friction > 0.0
         surface = np.setdiff1d(np.unique(sim.mesh.surface), driven)
-        parts.append(naive.contact_rows(body, x, scene, surface, force, h, tangents))
-        nodes = surface
+        contact = naive.contact_rows(body, x, scene, surface, force, h, tangents)
+        each = 3 if tangents else 1
+        keep = np.repeat(near(contact, ahead, h, CONTACT_MARGIN)[::each], each)
+        parts.append(chosen(contact, keep))
+        nodes = surface[keep[::each]]
     if scene.limits is not None:
-        parts.append(naive.strain_rows(body, x, scene, system.free, h, SOLVER_GAP, NEAR, COINCIDE))
+        strain = naive.strain_rows(body, x, scene, system.free, h, SOLVER_GAP, NEAR, COINCIDE)
+        margin = MARGIN if scene.limits.stiffness else RIGID_MARGIN
+        margin = 1.0 - NEAR if scene.limits.projection == "tensor" else margin
+        parts.append(chosen(strain, near(strain, ahead, h, margin)))
     lam: dict[int, Array] = {}
     for t, size in zip(state.row_tet, state.lam, strict=True):
         if 0 <= t < NO_ROW and size > 0.0:
@@ -107,6 +121,15 @@ def stepped(sim: Simulator, command: Pose | None, well: bool = True) -> Problem:
         sim.contact_forces.copy(),
         out,
     )
+
+
+def near(rows: naive.Rows, ahead: Array, h: float, margin: float) -> Any:
+    """Which rows have no more than this part of their room, now or after a step at velocities `ahead`."""
+    return np.minimum(rows.C, rows.C + h * rows.J @ ahead) <= margin * rows.room
+
+
+def chosen(rows: naive.Rows, keep: Array) -> naive.Rows:
+    return naive.Rows(*(getattr(rows, f.name)[keep] for f in dataclasses.fields(rows)))
 
 
 def solve_qp(problem: Problem) -> tuple[Array, Array]:
