@@ -15,13 +15,14 @@ from ..haptics.coupling import device_wrench, set_down, spring_wrench
 from ..physics import step as stepping
 from ..physics.clock import STAGES
 from ..physics.compile import compiling
-from ..physics.model import build_model, build_state, with_live_values
 from ..physics.ready import advance, measure_strains, ready, refresh
 from ..physics.rotations import matrix
 from ..physics.step import Status
 from ..physics.work import WORK
+from ..physics.workspace import build_state
 from ..scene import Pose, Scene, Solver, Vec3, checked_pose, place
 from ..scene.mesh import TetMesh
+from .build import build_model, with_live_values
 from .drive import Drive
 from .ground import Ground
 from .guard import Guard, Verdict
