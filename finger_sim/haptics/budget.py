@@ -10,6 +10,7 @@ import dataclasses
 import hashlib
 import json
 from collections import deque
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +44,9 @@ CUTS = (
     Cut("capped", 5e-2, True, 2),
 )
 """From the best to the quickest."""
+USELESS = 0.5
+"""A rung whose measured error is this part of the peak force or more is no rung: two iterations blow a body up whose
+bone yields to the hand."""
 CLAIMS = "presets/rungs.yaml"
 """Measured errors of rungs, in the folder of the shipped scenes."""
 WINDOW = 50
@@ -71,6 +75,12 @@ def ladder(solver: Solver) -> tuple[Rung, ...]:
     return tuple(rungs)
 
 
+def usable(scene: Scene, mesh: TetMesh) -> tuple[Rung, ...]:
+    """The ladder of a scene without the rungs that were measured to be USELESS for it."""
+    errors = claimed(scene, mesh)
+    return tuple(rung for rung in ladder(scene.solver) if errors.get(rung.name, 0.0) < USELESS)
+
+
 def fingerprint(scene: Scene, mesh: TetMesh) -> str:
     """Of all values that decide how large a rung's error is; wherever the mesh's file lies.
 
@@ -88,12 +98,17 @@ def fingerprint(scene: Scene, mesh: TetMesh) -> str:
 
 def claimed(scene: Scene, mesh: TetMesh) -> dict[str, float]:
     """Error of contact force of each rung, rms as a part of the peak force; empty: not measured for this scene."""
+    return _claims().get(fingerprint(scene, mesh), {})
+
+
+@cache
+def _claims() -> dict[str, dict[str, float]]:
+    """By fingerprint; none where the file is missing."""
     try:
         claims = yaml.safe_load((shipped("config") / CLAIMS).read_text(encoding="utf-8"))
     except (OSError, yaml.YAMLError):
         return {}
-    mine = fingerprint(scene, mesh)
-    return next((measured["rms"] for measured in claims["scenes"].values() if measured["fingerprint"] == mine), {})
+    return {measured["fingerprint"]: measured["rms"] for measured in claims["scenes"].values()}
 
 
 class Budget:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Floats
-from ..haptics.budget import Budget, Rung, ladder
+from ..haptics.budget import Budget, Rung, usable
 from ..haptics.coupling import device_wrench, displacement
 from ..haptics.passivity import NONE, Port
 from ..physics.step import Status
@@ -175,7 +175,7 @@ class Stepper:
     def _take_budget(self) -> None:
         """Begin at the top of the ladder with the scene's budget, if it has one."""
         milliseconds = self.scene.solver.budget_ms
-        self.rungs = ladder(self.scene.solver)
+        self.rungs = usable(self.scene, self.sim.mesh) if milliseconds is not None else ()
         self.budget = Budget(1e-3 * milliseconds, len(self.rungs)) if milliseconds is not None else None
 
     def _watch(self, command: Command, options: NodeOptions) -> bool:

@@ -13,8 +13,8 @@ from ..errors import BagError, SceneError
 
 SCENES, BAGS, MESH = (".yaml", ".yml"), (".mcap", ".db3"), ".vtu"
 """How the names of files end: of scenes, of recordings in a bag, of shipped meshes."""
-CLAIMS = "claims"
-"""File beside the presets that is no scene: what was measured of them."""
+CLAIMS = {"claims", "rungs"}
+"""Files beside the presets that are no scenes: what was measured."""
 
 
 def shipped(kind: str) -> Path:
@@ -27,7 +27,7 @@ def shipped(kind: str) -> Path:
 def shipped_names() -> dict[str, list[str]]:
     """Names of all that ships, by kind: "scenes", "bags" and "meshes"."""
     config, bags = shipped("config"), shipped("bags")
-    presets = [f"presets/{path.stem}" for path in config.glob("presets/*.yaml") if path.stem != CLAIMS]
+    presets = [f"presets/{path.stem}" for path in config.glob("presets/*.yaml") if path.stem not in CLAIMS]
     return {
         "scenes": sorted(path.stem for path in config.glob("*.yaml")) + sorted(presets),
         "bags": sorted(path.parent.name for path in bags.glob("*/metadata.yaml")),

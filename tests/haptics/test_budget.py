@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from finger_sim import Scene, Simulator
-from finger_sim.haptics.budget import CUTS, MOST_PATIENCE, PATIENCE, WINDOW, Budget, claimed, ladder
+from finger_sim.haptics.budget import CUTS, MOST_PATIENCE, PATIENCE, WINDOW, Budget, claimed, ladder, usable
 from finger_sim.scene import Solver
 from finger_sim.studies.shared import poses
 from finger_sim.studies.tradeoff.rungs import CONVERGED, forces
@@ -117,6 +117,9 @@ def test_errors_are_claimed_only_of_what_was_measured() -> None:
     for changes in ({"plane.friction": 0.6}, {"material.young": 1.5e4}, {"dt": 2e-3}, {"solver.tolerance": 2e-3}):
         assert claimed(haptic.with_values(changes), mesh) == {}
     assert claimed(haptic, Scene.load("presets/haptic").load_mesh()) == mine
+    coupled = Scene.load("finger_coupled")
+    assert [rung.name for rung in usable(coupled, mesh)] == ["scene", "coarse", "lagged"]
+    assert usable(haptic, mesh) == ladder(haptic.solver)
     beam = Scene.from_dict({"mesh": {"beam": {"size": [1.0, 1.0, 1.0], "cells": [1, 1, 1]}}})
     assert claimed(beam, beam.load_mesh()) == {}
 

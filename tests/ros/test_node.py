@@ -262,7 +262,7 @@ def test_a_budget_is_held_by_giving_up_accuracy_and_says_so(client):
     assert client.set("solver.budget_ms", 0.001).successful
     status, values = client.until(lambda: held if (held := client.report())[1]["accuracy"].startswith("3 ") else None)
     assert status.level == DiagnosticStatus.WARN
-    assert "less accurate to hold 0.001 ms: capped" in status.message
+    assert "less accurate to hold 0.001 ms: capped, error not measured for this scene" in status.message
     assert int(values["accuracy changes"]) == 3
     assert not client.set("solver.budget_ms", -1.0).successful
     assert client.set("solver.budget_ms", math.inf).successful
