@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,33 +12,32 @@ WITHOUT_KERNELS = ("bags", "scene")
 """Folders whose tests need no compiled kernels: they run while the first node compiles them."""
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Groups of `--dist loadgroup`.
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Those that talk over ROS begin first, as together they take the longest; they are marked `ros`."""
 
-    The tests of a file run in one process, so that what they share is made once. Those marked `ros` all run in the same
-    one, and begin first: a node, its recorder and a client need a core to hear each other, and take the longest.
-    """
-    if not config.pluginmanager.hasplugin("xdist"):
-        return
+    def folder(item: pytest.Item) -> str:
+        return item.path.relative_to(ROOT).parts[0]
 
-    unmarked = {str(item.path) for item in items if starts_nodes(item) and not item.get_closest_marker("ros")}
-    if unmarked:
-        raise pytest.UsageError(
-            f"needs `pytestmark = pytest.mark.ros`, as it starts nodes: {', '.join(sorted(unmarked))}"
-        )
-
-    def place(item: pytest.Item) -> tuple[bool, bool]:
-        return item.get_closest_marker("ros") is None, item.path.relative_to(ROOT).parts[0] not in WITHOUT_KERNELS
-
-    items.sort(key=place)
     for item in items:
-        group = "ros" if item.get_closest_marker("ros") else item.path.stem.removeprefix("test_")
-        item.add_marker(pytest.mark.xdist_group(group))
+        if folder(item) == "ros":
+            item.add_marker("ros")
+    items.sort(key=lambda item: (folder(item) != "ros", folder(item) not in WITHOUT_KERNELS))
 
 
-def starts_nodes(item: pytest.Item) -> bool:
-    return hasattr(getattr(item, "module", None), "NodeProcess")
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """The tests of a file run in one process, so that what they share is made once.
+
+    Those of the folder `ros` all run in the same one: a node, its recorder and a client need a core to hear each other.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.split("::")[0]
+            return "ros" if (config.rootpath / file).parent == ROOT / "ros" else file
+
+    return ByFile(config, log)
 
 
 @pytest.fixture(autouse=True)

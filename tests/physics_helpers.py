@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from finger_sim import Pose, Scene, Simulator, Status, StepResult
-from finger_sim.physics import linear_solver
+from finger_sim.physics.elimination import analyse
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -148,7 +148,7 @@ def loaded(edges: Any, A: Array) -> tuple[Any, Array, Array, Array]:
     """The pattern of the graph and A's blocks in its slots, by columns; their padding is rubbish to be ignored."""
     nodes = len(A) // 3
     blocks = A.reshape(nodes, 3, nodes, 3)
-    pattern = linear_solver.analyse(edges, nodes)
+    pattern = analyse(edges, nodes)
     order = pattern.order
     diagonal, lower = np.full((nodes, 3, 4), 7.0), np.full((len(pattern.row), 3, 4), -7.0)
     for column in range(nodes):

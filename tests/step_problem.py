@@ -13,12 +13,15 @@ from numpy.testing import assert_allclose
 from physics_helpers import Array, healthy
 
 from finger_sim import Pose, Scene, Simulator
-from finger_sim.physics.contact import _MARGIN as CONTACT_MARGIN
-from finger_sim.physics.strain_limits import _MARGIN, _RIGID_MARGIN, SOLVER_GAP
-from finger_sim.physics.tensor_limit import _COINCIDE as COINCIDE
-from finger_sim.physics.tensor_limit import NEAR
 
 clarabel = pytest.importorskip("clarabel")
+
+SOLVER_GAP = 0.03
+"""Least |s_i² − s_k²| in a gradient."""
+NEAR, COINCIDE = 0.85, 0.1
+"""`tensor`: two strains of more than the first part of their limit, no further apart than the second, hold like one."""
+CONTACT_MARGIN, MARGIN, RIGID_MARGIN = 0.03, 0.05, 0.15
+"""A row is in the problem within so much of its room: of a contact, of a limit that gives, of one that does not."""
 
 PRECISE = {"tolerance": 1e-11, "max_iterations": 200_000, "settle": False}
 
@@ -98,7 +101,7 @@ def stepped(sim: Simulator, command: Pose | None, well: bool = True) -> Problem:
         nodes = surface[keep[::each]]
     if scene.limits is not None:
         strain = naive.strain_rows(body, x, scene, system.free, h, SOLVER_GAP, NEAR, COINCIDE)
-        margin = _MARGIN if scene.limits.stiffness else _RIGID_MARGIN
+        margin = MARGIN if scene.limits.stiffness else RIGID_MARGIN
         margin = 1.0 - NEAR if scene.limits.projection == "tensor" else margin
         parts.append(chosen(strain, near(strain, ahead, h, margin)))
     lam: dict[int, Array] = {}

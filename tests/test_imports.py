@@ -26,13 +26,10 @@ def test_physics_needs_no_ros() -> None:
     assert out.split() == ["0", "False"]
 
 
-@pytest.mark.parametrize(
-    "module",
-    ["finger_sim", "finger_sim.simulation.simulator", "finger_sim.physics.step", "finger_sim.bags.reader"],
-)
-def test_import_is_light(module: str) -> None:
+def test_import_is_light() -> None:
     """Importing neither draws, nor meshes, nor talks: no matplotlib, gmsh, rclpy, and no test tools."""
-    out = python(f"import sys, {module}\nprint(*sys.modules)")
+    modules = "finger_sim, finger_sim.simulation.simulator, finger_sim.physics.step, finger_sim.bags.reader"
+    out = python(f"import sys, {modules}\nprint(*sys.modules)")
     loaded = {name.split(".")[0] for name in out.split()}
     assert not loaded & {"matplotlib", "gmsh", "rclpy", "pytest", "hypothesis", "skfem", "clarabel"}
 
@@ -87,7 +84,14 @@ def test_uncompiled_kernels_give_the_same() -> None:
         assert_allclose(np.array(a), np.array(b), rtol=1e-10, atol=1e-10)
 
 
-def test_kernel_twin_tests_run_uncompiled() -> None:
+@pytest.mark.parametrize(
+    "solver",
+    [
+        "physics/test_linear_solver.py::test_panels_of_many_shapes",
+        pytest.param("physics/test_linear_solver.py", marks=pytest.mark.slow),
+    ],
+)
+def test_kernel_twin_tests_run_uncompiled(solver: str) -> None:
     """The suite's own kernel tests pass with NUMBA_DISABLE_JIT=1."""
     done = subprocess.run(
         [
@@ -95,10 +99,12 @@ def test_kernel_twin_tests_run_uncompiled() -> None:
             "-m",
             "pytest",
             "-q",
+            "-n",
+            "0",
             "-p",
             "no:cacheprovider",
             "-x",
-            "physics/test_linear_solver.py",
+            solver,
             "physics/test_strain_limits.py::test_values_along_the_axes_by_hand",
             "physics/test_strain_limits.py::test_number_of_rows",
             "physics/test_strain_limits.py::test_gradients_are_those_of_perturbation_theory",

@@ -102,6 +102,21 @@ class Excerpt:
                 yield message, f"message {number}: {pose}"
 
 
+class Newest:
+    """Poses in the order of their receipt, asked for the newest."""
+
+    def __init__(self, poses: Iterator[Received]) -> None:
+        self._poses = poses
+        self._next = next(poses, None)
+
+    def received_by(self, log_time: int) -> Received | None:
+        """The newest of those received by then [ns] that were not asked for before; None if none was."""
+        newest = None
+        while self._next is not None and self._next.log_time <= log_time:
+            newest, self._next = self._next, next(self._poses, None)
+        return newest
+
+
 def commands_in(reader: BagReader, topic: str | None = None) -> tuple[Excerpt, Tally]:
     """The commanded poses in a bag, and what there is of them.
 

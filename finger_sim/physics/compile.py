@@ -27,6 +27,7 @@ import numba
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
+from . import lowering  # noqa: F401  (lanes mean nothing to the compiler without it)
 from .folders import UnsafeError, alone, use
 from .sources import digest, imported
 

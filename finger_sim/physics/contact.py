@@ -12,18 +12,28 @@ The force of the plane on the node is n λ_n + t₁ λ_t1 + t₂ λ_t2 [N], worl
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from ..arrays import Floats
 from .compile import stage
 from .lanes import load4, sum3
+from .model import Model, State
 from .work import NODES_SEEN
 
-if TYPE_CHECKING:
-    from .model import Model, State
-
+# A soft contact is at least so many times as stiff as its node's inertia: one step takes all but 1/31 of what a free
+# node would go too deep. More makes the rows of a step stiffer against each other, less lets a node sink in for longer.
 _INERTIA = 30.0
 _MARGIN = 0.03  # nodes nearer than this part of the tetrahedra's size get rows: they may be pushed in
+
+
+def plane_frame(normal: Floats) -> Floats:
+    """Right-handed rows n, t₁, t₂ for a unit normal; t₁ lies along the world axis most across the normal."""
+    axis = np.zeros(3)
+    axis[np.argmin(np.abs(normal))] = 1.0
+    t1 = axis - normal * (normal @ axis)
+    t1 /= np.linalg.norm(t1)
+    return np.array([normal, t1, np.cross(normal, t1)])
 
 
 @stage
@@ -136,7 +146,7 @@ def bone_nears(model: Model, state: State) -> float:
         v = velocities[driven[d]]
         most = max(most, -(frame[0, 0] * v[0] + frame[0, 1] * v[1] + frame[0, 2] * v[2]))
     if model.has_bone:
-        most += state.bone_reach[0]
+        most += state.yielding.reach[0]
     return most
 
 

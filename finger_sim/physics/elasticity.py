@@ -20,17 +20,13 @@ gives their tetrahedra within the step.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from .compile import formula, stage
 from .kinematics import edges_times
 from .lanes import add3, bits, gather3, load4, load8, scatter3, splat4, splat8, store4
+from .model import Model, State
 from .polar import load_matrix, transposed_times
 from .vectors import add, clear, subtract_product
 from .work import MATRICES
-
-if TYPE_CHECKING:
-    from .model import Model, State
 
 
 @stage

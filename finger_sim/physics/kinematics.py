@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..arrays import Floats, Ints
 from .compile import formula, kernel, stage
-from .lanes import bits, gather3, load8, store8
-from .polar import Matrix, Vector, polar, store_matrix
+from .jacobi import Vector, turn_columns
+from .lanes import BATCH, bits, gather3, load8, store8
+from .model import Model, State
+from .polar import Matrix, polar, store_matrix
 from .work import DECOMPOSITIONS
 
-if TYPE_CHECKING:
-    from .model import Model, State
-
-BATCH = 32  # tetrahedra decomposed side by side: a fixed, contiguous inner loop, long enough that LLVM vectorises it
 _SWEEPS = 30  # one-sided Jacobi converges quadratically: 3 to 6 in practice
-_ORTHOGONAL = 1e-15
 _TURN = 0.1  # angle that a tetrahedron may turn by while steps share A [rad]
 _COS_HALF_TURN_SQUARED = math.cos(0.5 * _TURN) ** 2
 
@@ -61,9 +57,9 @@ def signed_svds(F: Floats, U: Floats, s: Floats, V: Floats, B: Floats, turn: Flo
                 for i in range(3):
                     B[j, i, l] = F[start + l, i, j] if l < count else 0.0
         for _ in range(_SWEEPS):
-            turned = _turn(B[0], B[1], turn[0], turn[1])
-            turned += _turn(B[0], B[2], turn[0], turn[2])
-            turned += _turn(B[1], B[2], turn[1], turn[2])
+            turned = turn_columns(B[0], B[1], turn[0], turn[1])
+            turned += turn_columns(B[0], B[2], turn[0], turn[2])
+            turned += turn_columns(B[1], B[2], turn[1], turn[2])
             if turned == 0:
                 break
         for l in range(count):
@@ -73,32 +69,6 @@ def signed_svds(F: Floats, U: Floats, s: Floats, V: Floats, B: Floats, turn: Flo
                     U[t, i, j] = B[j, i, l]
                     V[t, i, j] = turn[j, i, l]
             _finish(U[t], s[t])
-
-
-@kernel
-def _turn(b: Floats, c: Floats, v: Floats, w: Floats) -> int:
-    """Turn columns b, c of F V and v, w of V, (3, BATCH), so that b and c are orthogonal; how many lanes had to."""
-    turned = 0
-    for l in range(BATCH):
-        b0, b1, b2, c0, c1, c2 = b[0, l], b[1, l], b[2, l], c[0, l], c[1, l], c[2, l]
-        beta = b0 * b0 + b1 * b1 + b2 * b2
-        gamma = c0 * c0 + c1 * c1 + c2 * c2
-        dot = b0 * c0 + b1 * c1 + b2 * c2
-        askew = dot * dot > _ORTHOGONAL * _ORTHOGONAL * (beta * gamma)
-        zeta = (gamma - beta) / (2.0 * (dot if askew else 1.0))
-        tangent = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
-        tangent = tangent if askew else 0.0
-        cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
-        sine = cosine * tangent
-        b[0, l], c[0, l] = cosine * b0 - sine * c0, sine * b0 + cosine * c0
-        b[1, l], c[1, l] = cosine * b1 - sine * c1, sine * b1 + cosine * c1
-        b[2, l], c[2, l] = cosine * b2 - sine * c2, sine * b2 + cosine * c2
-        v0, v1, v2, w0, w1, w2 = v[0, l], v[1, l], v[2, l], w[0, l], w[1, l], w[2, l]
-        v[0, l], w[0, l] = cosine * v0 - sine * w0, sine * v0 + cosine * w0
-        v[1, l], w[1, l] = cosine * v1 - sine * w1, sine * v1 + cosine * w1
-        v[2, l], w[2, l] = cosine * v2 - sine * w2, sine * v2 + cosine * w2
-        turned += 1 if askew else 0
-    return turned
 
 
 @kernel
@@ -157,9 +127,9 @@ def _normalise(U: Floats, p: int, q: int, s: Floats) -> None:
 def kinematics(model: Model, state: State) -> None:
     """R and Biot strain E of every tetrahedron at the state's positions; F = U diag(s) Vᵀ where a projection needs it.
 
-    Writes state.R, E, quaternion, and state.F, U, s, V for limits on principal stretches.
+    Writes state.R, E, quaternion, and state.principal.F, U, s, V for limits on principal stretches.
     """
-    scratch = state.turn.reshape(-1)[:32].reshape((2, 4, 4))
+    scratch = state.principal.turn.reshape(-1)[:32].reshape((2, 4, 4))
     x, r, nodes = state.x, model.lane_gradients, model.lane_node
     rotations, strains, quaternion = state.R, state.E, state.quaternion
     inverted = 0
@@ -182,10 +152,11 @@ def kinematics(model: Model, state: State) -> None:
         store8(strains, b, 4, 0.5 * (u02 + u20))
         store8(strains, b, 5, 0.5 * (u01 + u10))
     state.inverted[0] = inverted
-    if state.F.shape[0] > 0:
+    own = state.principal
+    if own.F.shape[0] > 0:
         state.work[DECOMPOSITIONS] += model.tets.shape[0]
-        deformation_gradient(model.tets, model.gradients, state.x, state.F)
-        signed_svds(state.F, state.U, state.s, state.V, state.columns, state.turn)
+        deformation_gradient(model.tets, model.gradients, state.x, own.F)
+        signed_svds(own.F, own.U, own.s, own.V, own.columns, own.turn)
 
 
 @stage

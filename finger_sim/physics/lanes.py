@@ -1,29 +1,23 @@
 """Four or eight numbers at a time: vectors of float64 that live in registers, with the operators of numbers.
 
-The only place with compiler tricks. numba compiles scalar code well, but its vectoriser gives up on kernels with many
+numba compiles scalar code well, but its vectoriser gives up on kernels with many
 arrays; here a vector is a value of its own, <8 x double> to LLVM, so that a kernel on eight tetrahedra reads like one
-on a single tetrahedron. Every function below is also plain NumPy on an array of 4 or 8: that is what runs with
-NUMBA_DISABLE_JIT=1, and what the compiled ones are tested against.
+on a single tetrahedron. Below they are plain NumPy on an array of 4 or 8: that is what runs with
+NUMBA_DISABLE_JIT=1, and what the compiled ones (lowering.py) are tested against.
 
 A place in a C-contiguous array is named by (i, k): entry i of the first axis, in it the k-th group of 4 or 8 numbers.
 """
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils, types
-from numba.core.datamodel import models
-from numba.core.extending import lower_builtin, register_model, type_callable
-from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 
 from ..arrays import Floats, Ints
 
-LANES = 8  # tetrahedra side by side
+LANES = 8  # tetrahedra side by side in registers: one vector of AVX-512, two of AVX2
+BATCH = 32  # tetrahedra side by side in a plain loop that is left to LLVM to vectorise
 
 Lanes = Any  # 4 or 8 float64
 Mask = Any  # 4 or 8 bool
@@ -40,6 +34,13 @@ def aligned(*shape: int) -> Floats:
     room = np.zeros(size + 8)
     first = (-room.ctypes.data % 64) // 8
     return room[first : first + size].reshape(shape)
+
+
+def aligned_copy(values: Floats) -> Floats:
+    """A copy of that kind."""
+    out = aligned(*values.shape)
+    out[:] = values
+    return out
 
 
 def _place(a: Any, i: int, k: int, width: int) -> Any:
@@ -77,7 +78,7 @@ def splat8(x: float) -> Lanes:
 
 
 def sqrt(v: Lanes) -> Lanes:
-    """Square roots; of negative numbers NaN."""
+    """Square roots; of negative numbers NaN. Also of one number, as the next three."""
     return np.sqrt(v)
 
 
@@ -87,7 +88,7 @@ def absolute(v: Lanes) -> Lanes:
 
 
 def maximum(a: Lanes, b: Lanes) -> Lanes:
-    """The larger one, lane by lane; b where a is not a number."""
+    """The larger one, lane by lane; b, which may be one number for all, where a is not a number."""
     return np.where(a > b, a, b)
 
 
@@ -129,274 +130,6 @@ def scatter3(a: Floats, i: int, k: int, x: Lanes, y: Lanes, z: Lanes) -> None:
     a[8 * i : 8 * i + 8, k, 2], a[8 * i : 8 * i + 8, k, 3] = z, 0.0
 
 
-class LanesType(types.Type):
-    """numba's type of `width` float64 in a register."""
-
-    def __init__(self, width: int) -> None:
-        self.width = width
-        super().__init__(name=f"Lanes({width})")
-
-
-class MaskType(types.Type):
-    """numba's type of `width` truth values in a register."""
-
-    def __init__(self, width: int) -> None:
-        self.width = width
-        super().__init__(name=f"Mask({width})")
-
-
-LANES4, LANES8, MASK4, MASK8 = LanesType(4), LanesType(8), MaskType(4), MaskType(8)
-_PAIRS = ((LANES4, MASK4), (LANES8, MASK8))
-
-
-@register_model(LanesType)
-class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
-    def __init__(self, manager: Any, kind: LanesType) -> None:
-        super().__init__(manager, kind, ir.VectorType(ir.DoubleType(), kind.width))
-
-
-@register_model(MaskType)
-class _MaskModel(models.PrimitiveModel):  # type: ignore[misc]
-    def __init__(self, manager: Any, kind: MaskType) -> None:
-        super().__init__(manager, kind, ir.VectorType(ir.IntType(1), kind.width))
-
-
-_FLAGS = ("contract",)
-_I32 = ir.IntType(32)
-
-
-def _splat(builder: Any, x: Any, width: int) -> Any:
-    vector = ir.VectorType(ir.DoubleType(), width)
-    first = builder.insert_element(ir.Constant(vector, ir.Undefined), x, ir.Constant(_I32, 0))
-    zeros = ir.Constant(ir.VectorType(_I32, width), [0] * width)
-    return builder.shuffle_vector(first, ir.Constant(vector, ir.Undefined), zeros)
-
-
-def _shuffle(builder: Any, a: Any, b: Any, order: list[int]) -> Any:
-    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_I32, len(order)), order))
-
-
-def _operator(op: Any, emit: Callable[[Any, Any, Any], Any], mask: bool = False) -> None:
-    """Give Lanes the binary operator `op`, also with a plain number on either side."""
-    cases = []
-    for lanes, truth in _PAIRS:
-        result = truth if mask else lanes
-        for left, right in ((lanes, lanes), (lanes, types.float64), (types.float64, lanes)):
-            cases.append(signature(result, left, right))
-
-            def lower(context: Any, builder: Any, sig: Any, args: Any, width: int = lanes.width) -> Any:
-                a, b = (
-                    v if isinstance(t, LanesType) else _splat(builder, v, width)
-                    for v, t in zip(args, sig.args, strict=True)
-                )
-                return emit(builder, a, b)
-
-            lower_builtin(op, left, right)(lower)
-    infer_global(op)(type(f"_{op.__name__}", (ConcreteTemplate,), {"key": op, "cases": cases}))
-
-
-_operator(operator.add, lambda builder, a, b: builder.fadd(a, b, flags=_FLAGS))
-_operator(operator.sub, lambda builder, a, b: builder.fsub(a, b, flags=_FLAGS))
-_operator(operator.mul, lambda builder, a, b: builder.fmul(a, b, flags=_FLAGS))
-_operator(operator.truediv, lambda builder, a, b: builder.fdiv(a, b, flags=_FLAGS))
-_operator(operator.lt, lambda builder, a, b: builder.fcmp_ordered("<", a, b), mask=True)
-_operator(operator.gt, lambda builder, a, b: builder.fcmp_ordered(">", a, b), mask=True)
-_operator(operator.le, lambda builder, a, b: builder.fcmp_ordered("<=", a, b), mask=True)
-_operator(operator.ge, lambda builder, a, b: builder.fcmp_ordered(">=", a, b), mask=True)
-
-
-def _mask_operator(op: Any, emit: Callable[[Any, Any, Any], Any]) -> None:
-    cases = [signature(truth, truth, truth) for _, truth in _PAIRS]
-    infer_global(op)(type(f"_mask_{op.__name__}", (ConcreteTemplate,), {"key": op, "cases": cases}))
-    for _, truth in _PAIRS:
-        lower_builtin(op, truth, truth)(lambda context, builder, sig, args: emit(builder, *args))
-
-
-_mask_operator(operator.and_, lambda builder, a, b: builder.and_(a, b))
-_mask_operator(operator.or_, lambda builder, a, b: builder.or_(a, b))
-
-
-@infer_global(operator.neg)
-class _Negative(ConcreteTemplate):  # type: ignore[misc]
-    cases = [signature(lanes, lanes) for lanes, _ in _PAIRS]  # noqa: RUF012
-
-
-@lower_builtin(operator.neg, LanesType)  # type: ignore[untyped-decorator]
-def _lower_neg(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    return builder.fneg(args[0], flags=_FLAGS)
-
-
-def _pointer(context: Any, builder: Any, array: Any, value: Any, i: Any, k: Any, width: int) -> Any:
-    """Address of group k of entry i."""
-    struct = context.make_array(array)(context, builder, value)
-    stride = cgutils.unpack_tuple(builder, struct.strides, array.ndim)[0]
-    size = ir.IntType(64)
-    offset = builder.add(builder.mul(i, stride), builder.mul(k, ir.Constant(size, 8 * width)))
-    base = builder.bitcast(struct.data, ir.IntType(8).as_pointer())
-    return builder.gep(base, [offset])
-
-
-def _as(builder: Any, pointer: Any, kind: Any) -> Any:
-    return builder.bitcast(pointer, kind.as_pointer())
-
-
-def _load(builder: Any, pointer: Any, width: int) -> Any:
-    return builder.load(_as(builder, pointer, ir.VectorType(ir.DoubleType(), width)), align=8)
-
-
-def _store(builder: Any, pointer: Any, value: Any) -> None:
-    builder.store(value, _as(builder, pointer, value.type), align=8)
-
-
-def _function(function: Any, result: Callable[..., Any], *patterns: Any) -> Callable[[Any], Any]:
-    """Type `function` by `result` (None: no match) and lower it for each pattern of argument types."""
-
-    def typer(context: Any) -> Callable[..., Any]:
-        return result
-
-    type_callable(function)(typer)
-
-    def register(lower: Any) -> Any:
-        for pattern in patterns:
-            lower_builtin(function, *pattern)(lower)
-        return lower
-
-    return register
-
-
-def _index(context: Any, builder: Any, sig: Any, args: Any, n: int) -> Any:
-    return context.cast(builder, args[n], sig.args[n], types.intp)
-
-
-_PLACE = (types.Array, types.Integer, types.Integer)
-for _width, _kind, _read, _write, _fill in (
-    (4, LANES4, load4, store4, splat4),
-    (8, LANES8, load8, store8, splat8),
-):
-
-    @_function(_read, lambda a, i, k, kind=_kind: kind, _PLACE)
-    def _lower_load(context: Any, builder: Any, sig: Any, args: Any, width: int = _width) -> Any:
-        i, k = (_index(context, builder, sig, args, n) for n in (1, 2))
-        return _load(builder, _pointer(context, builder, sig.args[0], args[0], i, k, width), width)
-
-    @_function(_write, lambda a, i, k, v: types.none, (*_PLACE, _kind))
-    def _lower_store(context: Any, builder: Any, sig: Any, args: Any, width: int = _width) -> Any:
-        i, k = (_index(context, builder, sig, args, n) for n in (1, 2))
-        _store(builder, _pointer(context, builder, sig.args[0], args[0], i, k, width), args[3])
-        return context.get_dummy_value()
-
-    @_function(_fill, lambda x, kind=_kind: kind, (types.Float,))
-    def _lower_splat(context: Any, builder: Any, sig: Any, args: Any, width: int = _width) -> Any:
-        return _splat(builder, args[0], width)
-
-
-def _unary(name: str) -> Callable[..., Any]:
-    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        kind = args[0].type
-        function = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(kind, [kind]), f"llvm.{name}.v{kind.count}f64"
-        )
-        return builder.call(function, args)
-
-    return lower
-
-
-_function(sqrt, lambda v: v if isinstance(v, LanesType) else None, (LanesType,))(_unary("sqrt"))
-_function(absolute, lambda v: v if isinstance(v, LanesType) else None, (LanesType,))(_unary("fabs"))
-
-
-@_function(maximum, lambda a, b: a if isinstance(a, LanesType) else None, (LanesType, LanesType))
-def _lower_maximum(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    return builder.select(builder.fcmp_ordered(">", *args), *args)
-
-
-@_function(where, lambda m, a, b: a if isinstance(a, LanesType) else None, (MaskType, LanesType, LanesType))
-def _lower_where(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    return builder.select(*args)
-
-
-@_function(bits, lambda m: types.intp if isinstance(m, MaskType) else None, (MaskType,))
-def _lower_bits(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    number = builder.bitcast(args[0], ir.IntType(args[0].type.count))
-    return builder.zext(number, ir.IntType(64))
-
-
-@_function(lane, lambda v, l: types.float64 if isinstance(v, LanesType) else None, (LanesType, types.Integer))
-def _lower_lane(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    return builder.extract_element(args[0], builder.trunc(_index(context, builder, sig, args, 1), _I32))
-
-
-@_function(sum3, lambda v: types.float64 if v is LANES4 else None, (LANES4,))
-def _lower_sum3(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    x, y, z = (builder.extract_element(args[0], ir.Constant(_I32, l)) for l in range(3))
-    return builder.fadd(builder.fadd(x, y, flags=_FLAGS), z, flags=_FLAGS)
-
-
-def _row_pointers(context: Any, builder: Any, sig: Any, args: Any) -> list[Any]:
-    """Addresses of the eight rows of args[0] that group k of entry i of the index array args[1] names."""
-    i, k = (_index(context, builder, sig, args, n) for n in (2, 3))
-    numbers = _as(builder, _pointer(context, builder, sig.args[1], args[1], i, k, 8), ir.IntType(64))
-    zero = ir.Constant(ir.IntType(64), 0)
-    rows = (builder.load(builder.gep(numbers, [ir.Constant(_I32, l)])) for l in range(8))
-    return [_pointer(context, builder, sig.args[0], args[0], n, zero, 4) for n in rows]
-
-
-def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
-    """Components 0, 1, 2 of eight padded vectors, a vector of eight each."""
-    pairs = [_shuffle(builder, rows[l], rows[l + 4], list(range(8))) for l in range(4)]
-    low = [_shuffle(builder, pairs[l], pairs[l + 1], [0, 8, 2, 10, 4, 12, 6, 14]) for l in (0, 2)]
-    high = [_shuffle(builder, pairs[l], pairs[l + 1], [1, 9, 3, 11, 5, 13, 7, 15]) for l in (0, 2)]
-    even, odd = [0, 1, 8, 9, 4, 5, 12, 13], [2, 3, 10, 11, 6, 7, 14, 15]
-    return [_shuffle(builder, a, b, order) for (a, b), order in ((low, even), (high, even), (low, odd))]
-
-
-def _padded_rows(builder: Any, x: Any, y: Any, z: Any) -> list[Any]:
-    """Eight vectors (x, y, z, 0) from their components."""
-    zero = ir.Constant(x.type, [0.0] * 8)
-    xy = [_shuffle(builder, x, y, o) for o in ([0, 8, 2, 10, 4, 12, 6, 14], [1, 9, 3, 11, 5, 13, 7, 15])]
-    zw = [_shuffle(builder, z, zero, o) for o in ([0, 8, 2, 10, 4, 12, 6, 14], [1, 9, 3, 11, 5, 13, 7, 15])]
-    return [
-        _shuffle(builder, xy[l % 2], zw[l % 2], [c, c + 1, 8 + c, 9 + c])
-        for l, c in ((l, 2 * (l // 2)) for l in range(8))
-    ]
-
-
-@_function(
-    gather3,
-    lambda a, index, i, k: types.UniTuple(LANES8, 3),  # type: ignore[attr-defined]
-    (types.Array, types.Array, types.Integer, types.Integer),
-)
-def _lower_gather3(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    rows = [_load(builder, pointer, 4) for pointer in _row_pointers(context, builder, sig, args)]
-    return context.make_tuple(builder, sig.return_type, _transposed(builder, rows))
-
-
-@_function(
-    add3,
-    lambda a, index, i, k, x, y, z: types.none,
-    (types.Array, types.Array, types.Integer, types.Integer, LANES8, LANES8, LANES8),
-)
-def _lower_add3(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    rows = _padded_rows(builder, *args[4:])
-    for pointer, row in zip(_row_pointers(context, builder, sig, args), rows, strict=True):
-        _store(builder, pointer, builder.fadd(_load(builder, pointer, 4), row, flags=_FLAGS))
-    return context.get_dummy_value()
-
-
-@_function(
-    scatter3,
-    lambda a, i, k, x, y, z: types.none,
-    (types.Array, types.Integer, types.Integer, LANES8, LANES8, LANES8),
-)
-def _lower_scatter3(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    i, k = (_index(context, builder, sig, args, n) for n in (1, 2))
-    first = builder.mul(i, ir.Constant(ir.IntType(64), 8))
-    for l, row in enumerate(_padded_rows(builder, *args[3:])):
-        t = builder.add(first, ir.Constant(ir.IntType(64), l))
-        _store(builder, _pointer(context, builder, sig.args[0], args[0], t, k, 4), row)
-    return context.get_dummy_value()
-
-
 def fill4(a: Floats, i: int, k: int) -> Lanes:
     """Number k of entry i, in four lanes."""
     return np.full(4, float(a.reshape(len(a), -1)[i, k]))
@@ -405,21 +138,3 @@ def fill4(a: Floats, i: int, k: int) -> Lanes:
 def sums3(x: Lanes, y: Lanes, z: Lanes) -> Lanes:
     """(sum3(x), sum3(y), sum3(z), 0): a padded block of columns x, y, z, transposed, times (1, 1, 1)."""
     return np.array([sum3(x), sum3(y), sum3(z), 0.0])
-
-
-@_function(fill4, lambda a, i, k: LANES4, _PLACE)
-def _lower_fill4(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    i, k = (_index(context, builder, sig, args, n) for n in (1, 2))
-    pointer = _pointer(context, builder, sig.args[0], args[0], i, k, 1)
-    return _splat(builder, builder.load(_as(builder, pointer, ir.DoubleType())), 4)
-
-
-@_function(sums3, lambda x, y, z: LANES4 if x is LANES4 else None, (LANES4, LANES4, LANES4))
-def _lower_sums3(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    x, y, z = args
-    w = ir.Constant(x.type, [0.0] * 4)
-    even_xy, even_zw = (_shuffle(builder, a, b, [0, 4, 2, 6]) for a, b in ((x, y), (z, w)))
-    odd_xy, odd_zw = (_shuffle(builder, a, b, [1, 5, 3, 7]) for a, b in ((x, y), (z, w)))
-    first, second = _shuffle(builder, even_xy, even_zw, [0, 1, 4, 5]), _shuffle(builder, odd_xy, odd_zw, [0, 1, 4, 5])
-    third = _shuffle(builder, even_xy, even_zw, [2, 3, 6, 7])
-    return builder.fadd(builder.fadd(first, second, flags=_FLAGS), third, flags=_FLAGS)

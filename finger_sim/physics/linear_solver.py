@@ -1,130 +1,25 @@
 """Sparse block LDLᵀ of a symmetric positive definite matrix of 3 × 3 blocks: ordered once, factored each step.
 
-A = L D Lᵀ with L unit lower triangular, in an elimination order found once by minimum degree (on A's graph) and
-put into postorder. Block row and column numbers below are positions in that order ("slots"). See Davis, *Direct
-Methods for Sparse Linear Systems*, ch. 4 and 7.
+A = L D Lᵀ with L unit lower triangular, in the order and the pattern that `elimination.analyse` finds. Block row and
+column numbers below are positions in that order ("slots"). The columns of a panel are finished one after the other,
+then everything they subtract from the columns of their rows is summed in registers, two rows by two columns of blocks
+at a time: each block is read and written once for a whole panel.
 
-A *panel* is a run of neighbouring columns with the same rows below it (a fundamental supernode, or a part of one).
-Its columns are finished one after the other, then everything they subtract from the columns of their rows is summed
-in registers, two rows by two columns of blocks at a time: each block is read and written once for a whole panel.
+There are three triangular solves because there are three layouts of right-hand sides: one vector of padded nodes
+(`solve`), eight lanes (`solve8`), and many that skip what is zero (`solve_many`). Each sums in the order that suits it.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-import scipy.sparse
-import scipy.sparse.linalg
+from typing import Any
 
 from ..arrays import Floats, Ints
 from .compile import kernel
-from .lanes import Lanes, aligned, fill4, lane, load4, load8, splat4, store4, store8, sums3
+from .lanes import Lanes, fill4, lane, load4, load8, splat4, store4, store8, sums3
+from .model import Pattern
 
-NODE_LANES = 16  # right-hand sides solved together are those of so many nodes:
-LANES = 3 * NODE_LANES  # a fixed, contiguous inner loop that vectorises
-
-WIDEST = 8  # columns of a panel: two rows and two columns of it are read from the first cache again and again
-
-
-class Pattern(NamedTuple):
-    """Where the blocks of A and L are. `nf` block rows; `nnz` blocks of L below its diagonal."""
-
-    order: Ints  # (nf,) graph node of each slot
-    slot: Ints  # (nf,) slot of each graph node
-    start: Ints  # (nf + 1,) first block of each column of L
-    row: Ints  # (nnz,) slot of each block's row, ascending in a column
-    panel: Ints  # (panels + 1,) first column of each panel
-    target: Ints  # (updates,) the off-diagonal blocks that `factor` subtracts from, in its order
-    work: Floats  # (most blocks in a panel, 3, 4) L D of the panel that `factor` is at
-
-
-def analyse(edges: Ints, nodes: int) -> Pattern:
-    """Elimination order and fill for the graph with the given edges, (k, 2), over `nodes` nodes."""
-    order = _minimum_degree(edges, nodes)
-    below = _fill(edges, order)
-    post = _postorder(below)
-    order, place = order[post], _inverse(post)
-    columns = [np.sort(place[list(below[k])]) if below[k] else np.empty(0, np.int64) for k in post]
-    lengths = np.array([len(c) for c in columns], np.int64)
-    start = np.concatenate([[0], np.cumsum(lengths)])
-    row = np.concatenate([*columns, np.empty(0, np.int64)])
-    panel = _panels(columns)
-    rows_below = [columns[last - 1] for last in panel[1:]]
-    wanted = np.concatenate([_updates(rows, nodes) for rows in rows_below] + [np.empty(0, np.int64)])
-    target = np.searchsorted(np.repeat(np.arange(nodes), lengths) * nodes + row, wanted)
-    widths = np.diff(panel)
-    size = max((int(w * (w + len(rows))) for w, rows in zip(widths, rows_below, strict=True)), default=0)
-    return Pattern(order, _inverse(order), start, row, panel, target, aligned(size, 3, 4))
-
-
-def _inverse(permutation: Ints) -> Ints:
-    inverse = np.empty(len(permutation), np.int64)
-    inverse[permutation] = np.arange(len(permutation))
-    return inverse
-
-
-def _minimum_degree(edges: Ints, nodes: int) -> Ints:
-    """Minimum-degree order of AᵀA's cheaper sibling A + Aᵀ, as SuperLU computes it."""
-    if nodes == 0:
-        return np.empty(0, np.int64)
-    ends = edges.reshape(-1, 2)
-    ones = np.ones(len(ends))
-    graph = scipy.sparse.coo_matrix((ones, (ends[:, 0], ends[:, 1])), shape=(nodes, nodes))
-    dominant = graph + graph.T + scipy.sparse.identity(nodes) * (4.0 * nodes + 4.0)
-    factor = scipy.sparse.linalg.splu(
-        dominant.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
-    return _inverse(factor.perm_c)
-
-
-def _fill(edges: Ints, order: Ints) -> list[set[int]]:
-    """Rows of each column of L, numbered by place in `order`: A's own, and those of the columns it is the parent of."""
-    below: list[set[int]] = [set() for _ in order]
-    for a, b in _inverse(order)[edges.reshape(-1, 2)].tolist():
-        if a != b:
-            below[min(a, b)].add(max(a, b))
-    for column in below:
-        if column:
-            parent = min(column)
-            below[parent] |= column - {parent}
-    return below
-
-
-def _postorder(below: list[set[int]]) -> Ints:
-    """The columns with each one right after its descendants in the elimination tree, its fullest child last."""
-    children: list[list[int]] = [[] for _ in range(len(below) + 1)]
-    for k in sorted(range(len(below)), key=lambda k: len(below[k])):
-        children[min(below[k], default=-1)].append(k)
-    backwards, waiting = [], children[-1]
-    while waiting:
-        backwards.append(waiting.pop())
-        waiting.extend(children[backwards[-1]])
-    return np.array(backwards[::-1], np.int64)
-
-
-def _panels(columns: list[Ints]) -> Ints:
-    """First column of each panel, and the end: k joins k - 1 if k is its first row and has all of its other rows."""
-    firsts = [0] if columns else []
-    for k in range(1, len(columns)):
-        before = columns[k - 1]
-        joins = len(before) == len(columns[k]) + 1 and before[0] == k
-        if not joins or k - firsts[-1] == WIDEST:
-            firsts.append(k)
-    return np.array([*firsts, len(columns)], np.int64)
-
-
-def _updates(rows: Ints, nodes: int) -> Ints:
-    """column * nodes + row of the off-diagonal blocks between a panel's rows: pair of columns, row, column."""
-    row, column = np.tril_indices(len(rows), -1)
-    order = np.lexsort((column, row, column // 2))
-    return np.asarray(rows[column[order]] * nodes + rows[row[order]], np.int64)
-
-
-def block_of(pattern: Pattern, row_slot: int, column_slot: int) -> int:
-    """Index of L's (and A's) block at (row, column), row > column, both slots; it must be in the pattern."""
-    first, last = pattern.start[column_slot], pattern.start[column_slot + 1]
-    return int(first + np.searchsorted(pattern.row[first:last], row_slot))
+NODES_AT_ONCE = 16  # `solve_many` solves for the right-hand sides of so many nodes:
+SIDES_AT_ONCE = 3 * NODES_AT_ONCE  # a fixed, contiguous inner loop that vectorises
 
 
 @kernel
@@ -132,7 +27,10 @@ def factor(pattern: Pattern, diagonal: Floats, lower: Floats, inverse: Floats) -
     """Turn A (diagonal, lower) into L (lower) and D⁻¹ (inverse), in place. False if A is not positive definite.
 
     diagonal (nf, 3, 4), lower (nnz, 3, 4), inverse (nf, 3, 4): blocks by columns, each padded to four numbers.
-    Uses pattern.work. One function on purpose: its calls would cost as much as small panels.
+    Uses pattern.work.
+
+    One function of many lines, and helpers of many parameters, on purpose: cut in two, with blocks handed over as
+    tuples, it gives other last bits, and with it every step.
     """
     start, row, panel, target, work = pattern.start, pattern.row, pattern.panel, pattern.target, pattern.work
     update = 0
@@ -337,8 +235,8 @@ def solve8(pattern: Pattern, lower: Floats, inverse: Floats, Y: Floats) -> None:
 
 
 @kernel
-def solve_lanes(pattern: Pattern, lower: Floats, inverse: Floats, first: int, reached: Ints, Y: Floats) -> None:
-    """Replace the LANES right-hand sides Y (nf, 3, LANES) by A⁻¹ Y, from slot `first` on.
+def solve_many(pattern: Pattern, lower: Floats, inverse: Floats, first: int, reached: Ints, Y: Floats) -> None:
+    """Replace the SIDES_AT_ONCE right-hand sides Y (nf, 3, SIDES_AT_ONCE) by A⁻¹ Y, from slot `first` on.
 
     Slots before `first` must be zero on entry; they are not computed. reached (nf,): 0 where Y is zero, so that
     the way down the elimination tree passes such slots over; changed on the way.
@@ -350,30 +248,27 @@ def solve_lanes(pattern: Pattern, lower: Floats, inverse: Floats, first: int, re
         for p in range(pattern.start[k], pattern.start[k + 1]):
             L = lower[p]
             reached[pattern.row[p]] = 1
-            _subtract(
-                Y[pattern.row[p]], Y[k], L[0, 0], L[1, 0], L[2, 0], L[0, 1], L[1, 1], L[2, 1], L[0, 2], L[1, 2], L[2, 2]
-            )
+            columns = (L[0, 0], L[1, 0], L[2, 0], L[0, 1], L[1, 1], L[2, 1], L[0, 2], L[1, 2], L[2, 2])
+            _subtract(Y[pattern.row[p]], Y[k], columns)
     for k in range(nf - 1, first - 1, -1):
         D, y = inverse[k], Y[k]
         d00, d10, d20, d11, d21, d22 = D[0, 0], D[1, 0], D[2, 0], D[1, 1], D[2, 1], D[2, 2]
-        for l in range(LANES):
+        for l in range(SIDES_AT_ONCE):
             y0, y1, y2 = y[0, l], y[1, l], y[2, l]
             y[0, l] = d00 * y0 + d10 * y1 + d20 * y2
             y[1, l] = d10 * y0 + d11 * y1 + d21 * y2
             y[2, l] = d20 * y0 + d21 * y1 + d22 * y2
         for p in range(pattern.start[k], pattern.start[k + 1]):
             L = lower[p]
-            _subtract(
-                y, Y[pattern.row[p]], L[0, 0], L[0, 1], L[0, 2], L[1, 0], L[1, 1], L[1, 2], L[2, 0], L[2, 1], L[2, 2]
-            )
+            rows = (L[0, 0], L[0, 1], L[0, 2], L[1, 0], L[1, 1], L[1, 2], L[2, 0], L[2, 1], L[2, 2])
+            _subtract(y, Y[pattern.row[p]], rows)
 
 
 @kernel
-def _subtract(
-    y: Floats, x: Floats, a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float
-) -> None:
-    """y −= [a b c; d e f; g h i] x for (3, LANES) arrays."""
-    for l in range(LANES):
+def _subtract(y: Floats, x: Floats, matrix: Any) -> None:
+    """y −= M x for (3, SIDES_AT_ONCE) arrays; matrix: M's nine entries by rows."""
+    a, b, c, d, e, f, g, h, i = matrix
+    for l in range(SIDES_AT_ONCE):
         x0, x1, x2 = x[0, l], x[1, l], x[2, l]
         y[0, l] = y[0, l] - a * x0 - b * x1 - c * x2
         y[1, l] = y[1, l] - d * x0 - e * x1 - f * x2

@@ -1,5 +1,15 @@
-"""The solvers of a step by number, as compiled code knows them, and their levels of accuracy."""
+"""What a scene chooses between, by number, as compiled code knows it: solvers, their levels, projections of limits."""
 
 PGS, NEWTON = 0, 1
 METHODS = {"pgs": PGS, "newton": NEWTON}
 LEVELS = {"standard": 1, "lagged": 4}  # steps that share A, and its factors while as many rows hold
+
+NONE, HYPERBOLIC, ISOTROPIC, TENSOR, ORTHOGONAL, LINEAR = range(6)
+PROJECTIONS = {
+    "hyperbolic": HYPERBOLIC,
+    "isotropic": ISOTROPIC,
+    "tensor": TENSOR,
+    "orthogonal": ORTHOGONAL,
+    "linear": LINEAR,
+}
+"""See strain_limits.py and tensor_limit.py; NONE: no limits."""

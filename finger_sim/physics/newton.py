@@ -20,26 +20,24 @@ Typically one factorisation a step: the rows that held before hold again.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from ..arrays import Floats
-from .bone import bone_residual, factor_bone, solve_all
+from .bone import bone_residual
+from .border import solve_all
 from .clock import FACTOR, SOLVE, lap, seconds
-from .compile import formula, stage
+from .compile import stage
 from .elasticity import slot_velocities
-from .lanes import Lanes, lane, load4, splat4, store4, sum3
-from .linear_solver import factor
+from .hessian import factor_elastic, refactor
+from .lanes import load4, splat4, store4, sum3
+from .model import Model, State
 from .vectors import add, clear, copy, copy_first, inner, subtract_product
-from .work import CORRECTIONS, FACTORISATIONS
-
-if TYPE_CHECKING:
-    from .model import Model, State
+from .work import CORRECTIONS
 
 _CORRECTIONS = 1  # solves that bring friction's unsymmetric part in
 _SLACK = 0.5  # a line search ends where dᵀr is within so much of what it was to either side of 0
 _TRIALS = 12
 _STALLED, _PROGRESS = 20, 0.9  # so many iterations without that much progress end a step
-_SLOW = 0.3  # an iteration that leaves more of the residual than this asks for new factors
+_WEAK = 0.3  # an iteration that leaves more of the residual than this asks for new factors: one costs as some solves
 OPEN, STICKS, SLIPS = 0.0, 1.0, 2.0
 _OTHER_MATRIX = -1  # in place of that number: the factors at hand, if any, are not of this A
 _STICKING, _SLIPPING, _BONE = 1 << 20, 1 << 40, 1 << 60  # places in the number that counts what holds
@@ -56,28 +54,27 @@ def newton(
     The residual is the largest force missing at any node [N], relative to the largest row force.
     """
     began = seconds(state.time) if model.deadline > 0.0 else 0.0
+    own, lam, best = state.newton, state.lam, state.best
+    change, tried, direction, best_change = own.change, own.tried, own.direction, own.best_change
     if anew:
-        state.factored_holds[0] = _OTHER_MATRIX
+        own.factored_holds[0] = _OTHER_MATRIX
     remainder(model, state)
-    change, tried, direction, best, best_change = (
-        state.change, state.tried, state.direction, state.best, state.best_change
-    )  # fmt: skip
-    lam = state.lam
     if rows == 0 and not model.has_bone:
-        copy(direction, state.start_residual)
+        copy(direction, own.start_residual)
         lap(state.laps, state.time, SOLVE)
-        definite = state.factored_holds[0] == 0 or refactor(model, state, h, 0, 0, 0)
+        definite = own.factored_holds[0] == 0 or factor_elastic(model, state)
         lap(state.laps, state.time, FACTOR)
         solve_all(model, state, direction)
         add_to_velocities(model, state, direction)
         return 0, 0.0, definite
     clear(change)
-    residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, change, True)
+    copy(own.next_residual, own.start_residual)
+    residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, change)
     if not missing < math.inf:
         return 0, residual, False
-    stale = holds != state.factored_holds[0]
+    stale = holds != own.factored_holds[0]
     changed = False
-    copy_first(state.factored, state.stiffness, rows)
+    copy_first(own.factored, own.stiffness, rows)
     least, least_missing, iterations, stalled = residual, missing, 0, 0
     clear(best_change)
     copy_first(best, lam, rows)
@@ -95,8 +92,9 @@ def newton(
         part, low, high, low_ahead, high_ahead = 1.0, 0.0, 1.0, ascent, -ascent
         for trial in range(_TRIALS):
             add(tried, change, direction, part)
-            residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, tried, False)
-            ahead = inner(direction, state.next_residual)
+            remainder_at(model, state, tried)
+            residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, tried)
+            ahead = inner(direction, own.next_residual)
             if (ahead >= -_SLACK * ascent and (ahead <= _SLACK * ascent or trial == 0)) or residual <= tolerance:
                 break
             if ahead > 0.0:
@@ -114,19 +112,19 @@ def newton(
             copy_first(best, lam, rows)
         if stalled >= _STALLED or not missing < math.inf:
             break
-        stale = residual > _SLOW * before
+        stale = residual > _WEAK * before
     copy_first(lam, best, rows)
     if model.has_bone:
-        bone_residual(model, state, h, best_change, state.next_residual)
+        bone_residual(model, state, h, best_change, own.next_residual)
     add_to_velocities(model, state, best_change)
     return iterations, least, True
 
 
 @stage
 def newton_direction(model: Model, state: State, h: float, contacts: int) -> float:
-    """H⁻¹ r into state.direction, friction's unsymmetric part included; returns dᵀr."""
-    direction, other, r, J = state.direction, state.tried, state.next_residual, state.J
-    slip, stiffness, row_slot = state.slip, state.stiffness, state.row_slot
+    """H⁻¹ r into `direction`, friction's unsymmetric part included; returns dᵀr."""
+    own, J, row_slot = state.newton, state.J, state.row_slot
+    direction, other, r, slip, stiffness = own.direction, own.tried, own.next_residual, own.slip, own.stiffness
     copy(direction, r)
     solve_all(model, state, direction)
     ascent = inner(direction, r)
@@ -154,30 +152,62 @@ def newton_direction(model: Model, state: State, h: float, contacts: int) -> flo
 
 @stage
 def remainder(model: Model, state: State) -> None:
-    """b − A v of the free nodes' velocities into state.start_residual."""
+    """b − A v of the free nodes' velocities into state.newton.start_residual."""
     slot_velocities(model, state)
-    copy(state.start_residual, state.rhs)
+    copy(state.newton.start_residual, state.rhs)
     nf = model.free.shape[0]
-    subtract_product(nf, model.block_row, model.block_column, state.A, state.slot_velocity, state.start_residual)
+    subtract_product(nf, model.block_row, model.block_column, state.A, state.slot_velocity, state.newton.start_residual)
+
+
+@stage
+def remainder_at(model: Model, state: State, change: Floats) -> None:
+    """b − A (v + δ) at δ = `change` into next_residual."""
+    r = state.newton.next_residual
+    copy(r, state.newton.start_residual)
+    subtract_product(model.free.shape[0], model.block_row, model.block_column, state.A, change, r)
 
 
 @stage
 def evaluate(
-    model: Model, state: State, h: float, contacts: int, rows: int, change: Floats, still: bool
+    model: Model, state: State, h: float, contacts: int, rows: int, change: Floats
 ) -> tuple[float, float, int, bool]:
-    """r at δ = `change` (`still`: 0) into state.next_residual; row forces, their part of the Hessian, slip directions.
+    """Add the rows' forces at δ = `change` to next_residual, which holds b − A (v + δ); their part of the Hessian.
 
     Returns the residual; the largest force missing [N]; how many limits hold and contacts stick and slip, as one
     number; and whether these are other ones than in the factors at hand.
     """
-    r, J, lam, row_slot, scale = state.next_residual, state.J, state.lam, state.row_slot, state.scale
-    constant, compliance, stiffness, factored, slip = (
-        state.constant, state.compliance, state.stiffness, state.factored, state.slip
-    )  # fmt: skip
-    mu_friction, nf = model.mu_friction, model.free.shape[0]
-    copy(r, state.start_residual)
-    if not still:
-        subtract_product(nf, model.block_row, model.block_column, state.A, change, r)
+    r, nf = state.newton.next_residual, model.free.shape[0]
+    pressed, touching, changed = contact_forces(model, state, h, contacts, change)
+    strongest, held, others = limit_forces(state, h, contacts, rows, change)
+    largest = max(pressed, strongest)
+    held += touching
+    changed |= others
+    store4(r, nf, 0, splat4(0.0))
+    if model.has_bone:
+        bone = bone_residual(model, state, h, change, r)
+        changed |= bone != state.yielding.holds[1]
+        state.yielding.holds[0] = bone
+        held += bone * _BONE
+    worst = total = 0.0
+    for k in range(r.shape[0]):
+        force = load4(r, k, 0)
+        size = sum3(force * force)
+        if k == nf + 2:
+            size /= model.bone_lever * model.bone_lever
+        worst = max(worst, size)
+        total += size
+    if not total < math.inf:  # max() passes over what is not a number
+        return math.inf, math.inf, held, changed
+    missing = math.sqrt(worst) / h
+    return missing / max(largest, model.least_force), missing, held, changed
+
+
+@stage
+def contact_forces(model: Model, state: State, h: float, contacts: int, change: Floats) -> tuple[float, int, bool]:
+    """The part of contacts in `evaluate`, with slip directions. (largest normal force, what holds, whether it did)."""
+    own, J, lam, row_slot = state.newton, state.J, state.lam, state.row_slot
+    r, stiffness, factored, slip = own.next_residual, own.stiffness, own.factored, own.slip
+    constant, compliance, mu_friction = state.constant, state.compliance, model.mu_friction
     largest, held, changed = 0.0, 0, False
     for c in range(contacts // 3):
         row = 3 * c
@@ -207,6 +237,16 @@ def evaluate(
             lam[row] = lam[row + 1] = lam[row + 2] = stiffness[row] = stiffness[row + 1] = 0.0
         stiffness[row + 2] = holds
         changed |= holds != factored[row + 2]
+    return largest, held, changed
+
+
+@stage
+def limit_forces(state: State, h: float, contacts: int, rows: int, change: Floats) -> tuple[float, int, bool]:
+    """The part of limits in `evaluate`. (largest nodal force, how many hold, whether others did)."""
+    own, J, lam, row_slot, scale = state.newton, state.J, state.lam, state.row_slot, state.scale
+    r, stiffness, factored = own.next_residual, own.stiffness, own.factored
+    constant, compliance = state.constant, state.compliance
+    largest, held, changed = 0.0, 0, False
     for row in range(contacts, rows):
         s0, s1, s2, s3 = row_slot[row, 0], row_slot[row, 1], row_slot[row, 2], row_slot[row, 3]
         j0, j1, j2, j3 = load4(J, row, 0), load4(J, row, 1), load4(J, row, 2), load4(J, row, 3)
@@ -225,83 +265,7 @@ def evaluate(
         else:
             lam[row] = stiffness[row] = 0.0
         changed |= (stiffness[row] > 0.0) != (factored[row] > 0.0)
-    store4(r, nf, 0, splat4(0.0))
-    if model.has_bone:
-        bone = bone_residual(model, state, h, change, r)
-        changed |= bone != state.bone_holds[1]
-        state.bone_holds[0] = bone
-        held += bone * _BONE
-    worst = total = 0.0
-    for k in range(r.shape[0]):
-        force = load4(r, k, 0)
-        size = sum3(force * force)
-        if k == nf + 2:
-            size /= model.bone_lever * model.bone_lever
-        worst = max(worst, size)
-        total += size
-    if not total < math.inf:  # max() passes over what is not a number
-        return math.inf, math.inf, held, changed
-    missing = math.sqrt(worst) / h
-    return missing / max(largest, model.least_force), missing, held, changed
-
-
-@stage
-def refactor(model: Model, state: State, h: float, contacts: int, rows: int, holds: int) -> bool:
-    """Factors of H at the rows that hold now (state.stiffness). False if H is not positive definite."""
-    nf, J, A, D, L = model.free.shape[0], state.J, state.A, state.L_diagonal, state.L_lower
-    block_place, tet_place, pair_row, pair_column = (
-        model.block_place, model.tet_place, model.pair_row, model.pair_column
-    )  # fmt: skip
-    stiffness, slip, row_slot, row_tet = state.stiffness, state.slip, state.row_slot, state.row_tet
-    for k in range(nf):
-        for j in range(3):
-            store4(D, k, j, load4(A, k, j))
-    for p in range(L.shape[0]):
-        for j in range(3):
-            store4(L, p, j, splat4(0.0))
-    for p in range(block_place.shape[0]):
-        for j in range(3):
-            store4(L, block_place[p], j, load4(A, nf + p, j))
-    copy_first(state.factored, stiffness, rows)
-    state.factored_holds[0] = holds
-    state.work[FACTORISATIONS] += 1
-    for c in range(contacts // 3):
-        row = 3 * c
-        if stiffness[row] > 0.0:
-            normal, tangent = h * h * stiffness[row], h * h * stiffness[row + 1]
-            add_contact(D, row_slot[row, 0], J, row, load4(slip, c, 0), normal, tangent)
-    for row in range(contacts, rows):
-        if stiffness[row] > 0.0:
-            weight, t = h * h * stiffness[row], row_tet[row]
-            for e in range(10):
-                place = tet_place[t, e]
-                if place < 0:
-                    continue
-                i, k = pair_row[t, e], pair_column[t, e]
-                if i == k:
-                    add_outer(D, place, load4(J, row, i) * weight, J, row, k)
-                else:
-                    add_outer(L, place, load4(J, row, i) * weight, J, row, k)
-    definite = factor(model.pattern, D, L, state.L_inverse)
-    if definite and model.has_bone:
-        definite = factor_bone(model, state, h, contacts, rows, state.bone_holds[0])
-    return definite
-
-
-@formula
-def add_contact(D: Floats, slot: int, frame: Floats, row: int, s: Lanes, normal: float, tangent: float) -> None:
-    """normal · n nᵀ + tangent · (I − n nᵀ − s sᵀ) onto a node's block; n t₁ t₂: frame[row …], s: slip direction."""
-    n, t1, t2 = load4(frame, row, 0), load4(frame, row + 1, 0), load4(frame, row + 2, 0)
-    for j in range(3):
-        column = n * (normal * lane(n, j)) + (t1 * lane(t1, j) + t2 * lane(t2, j) - s * lane(s, j)) * tangent
-        store4(D, slot, j, load4(D, slot, j) + column)
-
-
-@formula
-def add_outer(B: Floats, p: int, a: Lanes, J: Floats, row: int, n: int) -> None:
-    """a J[row, n]ᵀ onto block p of B."""
-    for j in range(3):
-        store4(B, p, j, load4(B, p, j) + a * J[row, n, j])
+    return largest, held, changed
 
 
 @stage

@@ -13,26 +13,24 @@ between touched nodes, each when first needed.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from ..arrays import Floats, Ints
 from .compile import kernel, stage
-from .linear_solver import NODE_LANES, solve, solve_lanes
+from .linear_solver import NODES_AT_ONCE, solve, solve_many
+from .model import Model, State
 from .vectors import clear, copy_first
-
-if TYPE_CHECKING:
-    from .model import Model, State
 
 _CHECK = 16  # the residual is taken after a sweep that changed little enough to hope, and after every so many
 
 
 @stage
 def touched_nodes(model: Model, state: State, rows: int) -> int:
-    """Number the slots that the first `rows` rows touch, in slot order: state.touched and row_local. Their count.
+    """Number the slots that the first `rows` rows touch, in slot order: state.pgs.touched and row_local. Their count.
 
     row_local is where a node's three components are in u; those of driven nodes, or none, are past the others and 0.
     """
-    local, touched, row_slot, row_local = state.local, state.touched, state.row_slot, state.row_local
+    local, touched, row_slot, row_local = state.pgs.local, state.pgs.touched, state.row_slot, state.pgs.row_local
     local[:] = -1
     for row in range(rows):
         for n in range(4):
@@ -55,19 +53,19 @@ def touched_nodes(model: Model, state: State, rows: int) -> int:
 @stage
 def inverse_between(model: Model, state: State, count: int) -> None:
     """S (3 count, 3 count): the symmetric block of A⁻¹ between touched nodes, some of its columns at a time."""
-    Y, touched, reached = state.Y, state.touched, state.reached
+    Y, touched, reached = state.pgs.Y, state.pgs.touched, state.pgs.reached
     pattern, lower, inverse = model.pattern, state.L_lower, state.L_inverse
-    S = state.S[: 9 * count * count].reshape((3 * count, 3 * count))
-    for start in range(0, count, NODE_LANES):
+    S = state.pgs.S[: 9 * count * count].reshape((3 * count, 3 * count))
+    for start in range(0, count, NODES_AT_ONCE):
         first = touched[start]
         Y[first:] = 0.0
         reached[first:] = 0
-        width = min(NODE_LANES, count - start)
+        width = min(NODES_AT_ONCE, count - start)
         for c in range(width):
             reached[touched[start + c]] = 1
             for i in range(3):
                 Y[touched[start + c], i, 3 * c + i] = 1.0
-        solve_lanes(pattern, lower, inverse, first, reached, Y)
+        solve_many(pattern, lower, inverse, first, reached, Y)
         for a in range(start, count):
             k = touched[a]
             for i in range(3):
@@ -84,11 +82,11 @@ def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: in
     complementarity over its diagonal of W), as nodal force relative to the largest one. When the sweeps run out,
     the iterate with the least residual is kept. On return state.J holds h J.
     """
-    J, nodes, lam, best, u, diagonal = state.J, state.row_local, state.lam, state.best, state.u, state.diagonal
-    cross, has_column, compliance = state.cross, state.has_column, state.compliance
+    pgs, J, lam, best, compliance = state.pgs, state.J, state.lam, state.best, state.compliance
+    nodes, u, diagonal, cross, has_column = pgs.row_local, pgs.u, pgs.diagonal, pgs.cross, pgs.has_column
     size = 3 * count
-    S = state.S[: size * size].reshape((size, size))
-    Z = state.Z[: rows * size].reshape((rows, size))
+    S = pgs.S[: size * size].reshape((size, size))
+    Z = pgs.Z[: rows * size].reshape((rows, size))
     u[: size + 3] = 0.0
     for row in range(rows):
         for n in range(4):

@@ -14,24 +14,19 @@ import math
 
 from ..arrays import Floats
 from .compile import formula, stage
+from .jacobi import diagonalise4
 from .lanes import Lanes, bits, lane, load8, splat8, sqrt, store8, where
+from .rotations import matrix_entries
 
 Matrix = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]  # by rows
-Vector = tuple[Lanes, Lanes, Lanes]
 Quaternion = tuple[Lanes, Lanes, Lanes, Lanes]  # x y z w, at length one
 
 _ITERATIONS = 6
 _CLOSE = 1e-12  # |w|² after which the error, of order |w|³, is round-off
-_JACOBI_SWEEPS = 12
 
 
-@formula
-def rotation(q: Quaternion) -> Matrix:
-    """R of a unit quaternion."""
-    x, y, z, w = q
-    x2, y2, z2 = x + x, y + y, z + z
-    xx, yy, zz, xy, xz, yz, wx, wy, wz = x * x2, y * y2, z * z2, x * y2, x * z2, y * z2, w * x2, w * y2, w * z2
-    return 1.0 - (yy + zz), xy - wz, xz + wy, xy + wz, 1.0 - (xx + zz), yz - wx, xz - wy, yz + wx, 1.0 - (xx + yy)
+rotation = formula(matrix_entries)
+"""R of unit quaternions, by rows."""
 
 
 @formula
@@ -79,7 +74,7 @@ def polar(F: Matrix, quaternion: Floats, b: int, scratch: Floats) -> tuple[Matri
     q = load8(quaternion, b, 0), load8(quaternion, b, 1), load8(quaternion, b, 2), load8(quaternion, b, 3)
     undone = 0
     for _ in range(_ITERATIONS):
-        q, lost, far = _newton(F, q)
+        q, lost, far = newton(F, q)
         undone = lost | far
         if far == 0:
             break
@@ -100,7 +95,7 @@ def polar(F: Matrix, quaternion: Floats, b: int, scratch: Floats) -> tuple[Matri
 
 
 @formula
-def _newton(F: Matrix, q: Quaternion) -> tuple[Quaternion, int, int]:
+def newton(F: Matrix, q: Quaternion) -> tuple[Quaternion, int, int]:
     """One iteration. Also which lanes have no maximum near (they stay), and which moved too far to be done."""
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = transposed_times(rotation(q), F)
     a0, a1, a2 = m7 - m5, m2 - m6, m3 - m1
@@ -146,13 +141,7 @@ def _from_scratch(F: Matrix, l: int, N: Floats, V: Floats) -> None:
         N[i, i] = 2.0 * N[i, i] - trace
         N[3, i] = N[i, 3]
     N[3, 3] = trace
-    for i in range(4):
-        for j in range(4):
-            V[i, j] = 1.0 if i == j else 0.0
-    for _ in range(_JACOBI_SWEEPS):
-        for p in range(3):
-            for q in range(p + 1, 4):
-                _jacobi(N, V, p, q)
+    diagonalise4(N, V)
     best = 0
     for k in range(1, 4):
         if N[k, k] > N[best, best]:
@@ -160,19 +149,3 @@ def _from_scratch(F: Matrix, l: int, N: Floats, V: Floats) -> None:
     x, y, z, w = V[0, best], V[1, best], V[2, best], V[3, best]
     size = math.sqrt(x * x + y * y + z * z + w * w)
     V[0, 0], V[1, 0], V[2, 0], V[3, 0] = x / size, y / size, z / size, w / size
-
-
-@stage
-def _jacobi(N: Floats, V: Floats, p: int, q: int) -> None:
-    """Turn rows and columns p, q of symmetric N (4, 4), and columns of V, so that N[p, q] vanishes."""
-    if N[p, q] == 0.0:
-        return
-    theta = (N[q, q] - N[p, p]) / (2.0 * N[p, q])
-    tangent = (1.0 if theta >= 0.0 else -1.0) / (abs(theta) + math.sqrt(1.0 + theta * theta))
-    cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
-    sine = tangent * cosine
-    for i in range(4):
-        N[i, p], N[i, q] = cosine * N[i, p] - sine * N[i, q], sine * N[i, p] + cosine * N[i, q]
-        V[i, p], V[i, q] = cosine * V[i, p] - sine * V[i, q], sine * V[i, p] + cosine * V[i, q]
-    for i in range(4):
-        N[p, i], N[q, i] = cosine * N[p, i] - sine * N[q, i], sine * N[p, i] + cosine * N[q, i]

@@ -1,11 +1,13 @@
 """`Ready`: a Model and a State as compiled code holds them, so that a call passes two pointers.
 
 Handing the hundred arrays of the two records over takes longer than some stages of a step: it is done once. In kernels
-`model` and `state` have the fields of the records; a field that is an array is best fetched once, before a loop.
+`model` and `state` have the fields of the records; a record within a record is a pointer of its own. A field that is an
+array is best fetched once, before a loop.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numba
@@ -16,34 +18,37 @@ from numba.experimental import structref
 from ..arrays import Floats
 from .compile import kernel
 from .kinematics import kinematics
-from .model import Model, State
+from .methods import NONE, TENSOR
+from .model import Model, Newton, Pgs, Principal, State, Tensor, Yielding
 from .step import step
-from .strain_limits import NONE, TENSOR, strain_ratio
+from .strain_limits import strain_ratio
 from .tensor_limit import all_strains, find_near
 
 
-@structref.register
-class _ModelType(types.StructRef):  # type: ignore[misc, name-defined]
-    """numba's type of a Model behind a pointer."""
+def _pointers_to(record: Any) -> Callable[[Any], Any]:
+    """What puts a record of that class behind a pointer that compiled code can follow."""
+    name = f"_{record.__name__}Pointer"
+    kind = structref.register(type(f"{name}Type", (types.StructRef,), {"__module__": __name__}))  # type: ignore[attr-defined]
+    proxy = type(name, (structref.StructRefProxy,), {"__module__": __name__})
+    globals().update({kind.__name__: kind, name: proxy})  # kernels in the cache look types up by name
+    structref.define_boxing(kind, proxy)
+    structref.define_constructor(proxy, kind, list(record._fields))
+    structref.define_attributes(kind)
+
+    @kernel
+    def pointer(fields: Any) -> Any:
+        return proxy(*fields)
+
+    return pointer
 
 
-@structref.register
-class _StateType(types.StructRef):  # type: ignore[misc, name-defined]
-    """numba's type of a State behind a pointer."""
+_POINTERS = {record: _pointers_to(record) for record in (Model, State, Newton, Pgs, Yielding, Principal, Tensor)}
 
 
-class _ModelReference(structref.StructRefProxy):  # type: ignore[misc]
-    """A Model behind a pointer."""
-
-
-class _StateReference(structref.StructRefProxy):  # type: ignore[misc]
-    """A State behind a pointer."""
-
-
-for _proxy, _type, _record in ((_ModelReference, _ModelType, Model), (_StateReference, _StateType, State)):
-    structref.define_boxing(_type, _proxy)
-    structref.define_constructor(_proxy, _type, list(_record._fields))
-    structref.define_attributes(_type)
+def _pointer(record: Any) -> Any:
+    """The record behind a pointer, and so those within it; arrays are shared, not copied."""
+    within = {name: _pointer(part) for name, part in record._asdict().items() if type(part) in _POINTERS}
+    return _POINTERS[type(record)](record._replace(**within))
 
 
 class Ready(NamedTuple):
@@ -55,21 +60,11 @@ class Ready(NamedTuple):
     projection: int
 
 
-@kernel
-def _model_reference(model: Model) -> Any:
-    return _ModelReference(*model)
-
-
-@kernel
-def _state_reference(state: State) -> Any:
-    return _StateReference(*state)
-
-
 def ready(model: Model, state: State) -> Ready:
     """Both behind pointers. A changed Model (with_live_values) needs a new one; arrays are shared, not copied."""
     if numba.config.DISABLE_JIT:
         return Ready(model, state, state, model.projection)
-    return Ready(_model_reference(model), _state_reference(state), state, model.projection)
+    return Ready(_pointer(model), _pointer(state), state, model.projection)
 
 
 def advance(both: Ready, targets: Floats, h: float) -> None:
@@ -82,7 +77,7 @@ def refresh(both: Ready) -> None:
     state = both.arrays
     state.quaternion[:, :3] = 0.0
     state.quaternion[:, 3] = 1.0
-    state.bound[:] = np.inf
+    state.tensor.bound[:] = np.inf
     kinematics(both.model, both.state)
     if both.projection == TENSOR:
         find_near(both.model, both.state)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -18,16 +19,17 @@ Normalising is exact far beyond them. But who sends a shorter one means none, an
 """
 
 
+def matrix_entries(q: Any) -> Any:
+    """Rotation matrix, by rows, of a unit quaternion: of numbers, or of lanes in compiled code."""
+    x, y, z, w = q
+    x2, y2, z2 = x + x, y + y, z + z
+    xx, yy, zz, xy, xz, yz, wx, wy, wz = x * x2, y * y2, z * z2, x * y2, x * z2, y * z2, w * x2, w * y2, w * z2
+    return 1.0 - (yy + zz), xy - wz, xz + wy, xy + wz, 1.0 - (xx + zz), yz - wx, xz - wy, yz + wx, 1.0 - (xx + yy)
+
+
 def matrix(q: Quaternion) -> Floats:
     """Rotation matrix (3, 3) of a unit quaternion."""
-    x, y, z, w = q
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    return np.array(matrix_entries(q)).reshape(3, 3)
 
 
 def unit(q: Quaternion) -> Quaternion | None:

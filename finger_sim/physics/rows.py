@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from .compile import stage
 from .lanes import load4, sum3
-
-if TYPE_CHECKING:
-    from .model import Model, State
+from .model import Model, State
 
 
 @stage

@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import TYPE_CHECKING
 
 from ..arrays import Floats
-from ..scene.locking import STRAINS
 from .bone import aim_bone, move_bone, place_driven
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
 from .elasticity import assemble
+from .hessian import factor_elastic
 from .kinematics import kinematics, turned_far
 from .lanes import load4, splat8, store4, store8, sum3
 from .linear_solver import solve
-from .methods import NEWTON, PGS
-from .newton import newton, refactor
+from .locking import STRAINS
+from .methods import NEWTON, NONE, PGS, TENSOR
+from .model import Model, State
+from .newton import newton
 from .pgs import apply_rows, inverse_between, solve_rows, touched_nodes
 from .rows import finish_rows
-from .strain_limits import NONE, TENSOR, limit_rows, strain_ratio
+from .strain_limits import limit_rows, strain_ratio
 from .tensor_limit import DIRECTIONS, find_near, greatest_strain, tensor_rows
 from .vectors import add, copy
-from .work import CONTACTS as CONTACT_ROWS
-from .work import LIMITS, LINEAR
-
-if TYPE_CHECKING:
-    from .model import Model, State
+from .work import CONTACT_ROWS, LIMITS, LINEAR
 
 
 class Status(enum.IntFlag):
@@ -67,8 +64,12 @@ _REJECTED = int(Status.NONFINITE | Status.STEP_REJECTED)
 _ROW_LIMIT, _ITERATION_LIMIT = int(Status.ROW_LIMIT), int(Status.ITERATION_LIMIT)
 _LOCKED, _INVERTED, _LIMIT_EXCEEDED = int(Status.LOCKED), int(Status.INVERTED), int(Status.LIMIT_EXCEEDED)
 _HELD = 0.02  # time that the driven nodes stay before a body settles [s]: commands come slower than steps
-_SLOW = 3e-3  # part of the tetrahedra's size that nodes of a body that settles move in a step, rms
-_SETTLED = 1e-5  # part of the tolerance that a step which does not move the driven nodes aims at (`newton`)
+# Part of the tetrahedra's size that the nodes of a body that settles move in a step, rms, at most. Linearised once
+# more, a step costs twice: not worth it while the body still moves by more than linearisation is good for.
+_SLOW = 3e-3
+# Part of the tolerance that a step of `newton` aims at while the driven nodes stay: what it leaves of the residual is
+# what keeps a body at rest moving. Less costs iterations in every held step, more lets it creep.
+_SETTLED = 1e-5
 _EXCEEDED = 1.5  # strain/limit from which on LIMIT_EXCEEDED is set
 
 
@@ -95,16 +96,16 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
             wanted = max(wanted, 1)
     if wanted > 0:
         copy(state.v_start, state.v)
-    contacts, rows, definite = linear_step(model, state, h, 0, tolerance)
-    moved_on = False
-    for again in range(1, wanted + 1):
-        if definite and bounded(state.v, _FARTHEST * model.length / h):
-            moved_on = True
+    for again in range(wanted + 1):
+        if again > 0:
             relinearise(model, state, targets, h, again)
-            contacts, rows, definite = linear_step(model, state, h, again, tolerance)
-    if moved_on:
+        contacts, rows, definite = linear_step(model, state, h, again, tolerance)
+        well = definite and bounded(state.v, _FARTHEST * model.length / h)
+        if not well:
+            break
+    if again > 0:
         copy(state.x, state.x_start)
-    if not (definite and bounded(state.v, _FARTHEST * model.length / h)):
+    if not well:
         state.result[STATUS] = _REJECTED
         return
     fastest = integrate(model, state, targets, h)  # x += h v
@@ -135,7 +136,7 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
     if model.has_bone:
         aim_bone(model, state, h, again > 0)
     lap(state.laps, state.time, ASSEMBLY)
-    if model.method == PGS and not unconstrained(model, state, h):  # v_free = A⁻¹ b
+    if model.method == PGS and not unconstrained(model, state):  # v_free = A⁻¹ b
         return 0, 0, False
     since_linearised(state, again)
     contacts = contact_rows(model, state, h, again > 0) if model.has_plane else 0
@@ -209,9 +210,9 @@ def drive(model: Model, state: State, targets: Floats, h: float) -> bool:
 
 
 @stage
-def unconstrained(model: Model, state: State, h: float) -> bool:
+def unconstrained(model: Model, state: State) -> bool:
     """Velocities of the unconstrained step into state.v. False if A is not positive definite."""
-    definite = refactor(model, state, h, 0, 0, 0)
+    definite = factor_elastic(model, state)
     solve(model.pattern, state.L_lower, state.L_inverse, state.rhs)
     free, v, rhs = model.free, state.v, state.rhs
     for k in range(free.shape[0]):
@@ -269,7 +270,7 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
         result[PENETRATION] = deepest(model, state)
         if model.has_bone:
             for i in range(6):
-                state.wrench[i] += state.bone_stop[8] * state.bone_stop[i]
+                state.wrench[i] += state.yielding.stop[8] * state.yielding.stop[i]
     if model.projection != NONE:
         if model.projection == TENSOR:
             result[STRAIN_RATIO] = greatest_strain(model, state)

@@ -20,29 +20,18 @@ The denominator vanishes where singular values cross (and at s_i = −s_k, inver
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import Floats, Ints
-from ..scene import Limits
 from .compile import kernel, stage
 from .kinematics import signed_svd
+from .methods import HYPERBOLIC, ISOTROPIC, LINEAR, ORTHOGONAL, PROJECTIONS, TENSOR
+from .model import Model, State
 from .tensor_limit import evaluate_tensor, limit_factors
 from .work import LIMITS_SEEN
-
-if TYPE_CHECKING:
-    from .model import Model, State
-
-NONE, HYPERBOLIC, ISOTROPIC, TENSOR, ORTHOGONAL, LINEAR = range(6)
-PROJECTIONS = {
-    "hyperbolic": HYPERBOLIC,
-    "isotropic": ISOTROPIC,
-    "tensor": TENSOR,
-    "orthogonal": ORTHOGONAL,
-    "linear": LINEAR,
-}
 
 SOLVER_GAP = 0.03  # |s_i² − s_k²| in a step's rows: what keeps a force near crossing singular values from exploding
 EXACT_GAP = 1e-12  # in `evaluate`: the plain derivative
@@ -52,6 +41,28 @@ _MARGIN, _RIGID_MARGIN = 0.05, 0.15
 _NO_GRADIENT = 1e-20  # |J|² at free nodes, in units of the tetrahedra's size, of a row that nothing can move
 _LEAST_REACH = 1e-9  # of |diag(s_min) V e_i| in a gradient
 _RATIO_ROOM = 1e-3  # strain/limit is counted in units of the room, but of no less than this
+
+
+Svd = tuple[Floats, Floats, Floats]
+"""U, s, V of one tetrahedron."""
+Row = tuple[int, int, float]
+"""Principal axis i, material axis j, side: +1 stretch, −1 compression."""
+
+
+class Limits(Protocol):
+    """What `evaluate` asks of a scene's limits."""
+
+    @property
+    def projection(self) -> str:
+        """One of methods.PROJECTIONS."""
+
+    @property
+    def stretch_room(self) -> Floats:
+        """(3,) a⁺ along e1, e2, e3; ∞: free."""
+
+    @property
+    def compress_room(self) -> Floats:
+        """(3,) a⁻ along e1, e2, e3; ∞: free."""
 
 
 def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floats, Floats]:
@@ -79,7 +90,7 @@ def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floa
             room = room_of(projection, V, i, j, side, rooms)
             if np.isfinite(room):
                 p, q = np.empty(3), np.empty(3)
-                gradient(projection, U, s, V, i, j, side, rooms, gap, p, q)
+                gradient(projection, (U, s, V), (int(i), j, side), rooms, gap, p, q)
                 C.append(float(room - used(projection, s, V, i, j, side)))
                 gradients.append(np.outer(U[:, i], p) + np.outer(q, V[:, i]))
     return np.array(C), np.array(gradients).reshape(-1, 3, 3)
@@ -145,11 +156,10 @@ def _bound(side: float, room: float) -> float:
 
 
 @kernel
-def gradient(
-    projection: int, U: Floats, s: Floats, V: Floats, i: int, j: int, side: float, rooms: Floats, gap: float,
-    p: Floats, q: Floats,
-) -> None:  # fmt: skip
-    """∂C/∂F of row (i, j) as u_i pᵀ + q v_iᵀ; p, q (3,) out. By Eq. 13 through s_i, by Eq. 17-18 through V."""
+def gradient(projection: int, svd: Svd, row: Row, rooms: Floats, gap: float, p: Floats, q: Floats) -> None:
+    """∂C/∂F of a row as u_i pᵀ + q v_iᵀ; p, q (3,) out. By Eq. 13 through s_i, by Eq. 17-18 through V."""
+    U, s, V = svd
+    i, j, side = row
     along = -side
     if projection == HYPERBOLIC:
         along = -side * abs(V[j, i])
@@ -184,7 +194,7 @@ def gradient(
 @kernel
 def strain_ratio(model: Model, state: State) -> None:
     """strain/limit of every tetrahedron into state.strain_ratio (T,): 1 is exactly at its nearest limit."""
-    stretches, axes_of, ratio, projection = state.s, state.V, state.strain_ratio, model.projection
+    stretches, axes_of, ratio, projection = state.principal.s, state.principal.V, state.strain_ratio, model.projection
     stretch_room, compress_room = model.stretch_room, model.compress_room
     for t in range(ratio.shape[0]):
         s, V = stretches[t], axes_of[t]
@@ -207,14 +217,15 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
     Writes state.J (rows, 4, 4) [1/m], row_slot, constant C + h J v at state.v, and the row's key: tetrahedron, i, j
     and side; the rest is for `finish_rows`. -1 when the arrays hold no more rows.
     """
-    p, q = state.P[0], state.P[1]
+    p, q = state.principal.P[0], state.principal.P[1]
     margin = _MARGIN if model.limit_compliance > 0.0 else _RIGID_MARGIN
     least = _NO_GRADIENT / model.length**2
     nf = model.free.shape[0]
     tets, order, moves, gradients, tet_slot = (
         model.tets, model.tet_order, model.tet_moves, model.gradients, model.tet_slot
     )  # fmt: skip
-    left, stretches, right, velocities, scratch = state.U, state.s, state.V, state.moving, state.D
+    own, velocities = state.principal, state.moving
+    left, stretches, right, scratch = own.U, own.s, own.V, own.D
     all_J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key
     row_side, constant, projection = state.row_side, state.constant, model.projection
     shares = state.compliance
@@ -243,7 +254,7 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
                     reach = h * _strain_rate(tets[t], velocities, r, U, V, scratch)
                 if C - reach > near:
                     continue
-            gradient(projection, U, s, V, i, j, side, rooms, SOLVER_GAP, p, q)
+            gradient(projection, (U, s, V), (i, j, side), rooms, SOLVER_GAP, p, q)
             change = force = 0.0
             if rows >= row_tet.shape[0]:
                 return -1

@@ -21,12 +21,12 @@ that cannot miss one, λ_max(B) ≤ tr B/3 + √(2/3) |dev B|.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..arrays import Floats, Ints
 from .compile import formula, kernel, stage
+from .jacobi import Symmetric, Vector, eigen, load_symmetric, store_vector
 from .lanes import (
     Lanes,
     absolute,
@@ -43,23 +43,19 @@ from .lanes import (
     sum3,
     where,
 )  # fmt: skip
-from .polar import Matrix, Vector, load_matrix, polar
+from .model import Model, State
+from .polar import Matrix, load_matrix, polar
 from .work import LIMITS_SEEN
-
-if TYPE_CHECKING:
-    from .model import Model, State
-
-Symmetric = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]  # 00 11 22 12 02 01
 
 NEAR = 0.85  # strain/limit from which on a row is formed, now or after a step at the velocities of now
 _WORTH = 0.5  # eigenvalues below are not looked at any closer
-_COINCIDE = 0.1  # strain/limit that two eigenvalues near their limit may differ by to be taken as one
+# Strain/limit that two eigenvalues near their limit may differ by to be taken as one. More makes rows that hold
+# nothing; less lets strain through where the eigenvectors turn by more in a step.
+_COINCIDE = 0.1
 # Directions of the rows: the eigenvectors, then those halfway between two of them, on either side.
 _FIRST, _SECOND = (0, 1, 2, 0, 0, 0, 0, 1, 1), (0, 1, 2, 1, 1, 2, 2, 2, 2)
 _SIGN = (1.0, 1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0)
 DIRECTIONS = 3  # of them are eigenvectors
-_SWEEPS = 10  # of Jacobi's method: 3 to 4 in practice
-_ROUND_OFF = 1e-31  # off-diagonal part squared, of the whole, that ends them
 _LEAST_DET = 1e-2  # of tr(U) I − U, 8 at rest: it vanishes where s_a = −s_b
 _NO_GRADIENT = 1e-20  # |J|² at free nodes, in units of the tetrahedra's size, of a row that nothing can move
 LEAST_ROOM = 1e-6  # rooms below count as this
@@ -85,43 +81,6 @@ def upper_bound(B: Symmetric) -> Lanes:
     mean = (b0 + b1 + b2) * (1.0 / 3.0)
     d0, d1, d2 = b0 - mean, b1 - mean, b2 - mean
     return mean + sqrt((d0 * d0 + d1 * d1 + d2 * d2 + 2.0 * (b3 * b3 + b4 * b4 + b5 * b5)) * (2.0 / 3.0))
-
-
-@formula
-def _turn(
-    pp: Lanes, qq: Lanes, pq: Lanes, rp: Lanes, rq: Lanes, u: Vector, v: Vector
-) -> tuple[Lanes, Lanes, Lanes, Lanes, Vector, Vector]:
-    """Jacobi's rotation that makes pq vanish; u, v columns p and q of the eigenvectors."""
-    d, o = qq - pp, pq + pq
-    below = absolute(d) + sqrt(d * d + o * o)
-    t = where(d < 0.0, -o, o) / where(below > 0.0, below, splat8(1.0))
-    c = 1.0 / sqrt(1.0 + t * t)
-    s = t * c
-    u0, u1, u2 = u
-    v0, v1, v2 = v
-    return (
-        pp - t * pq, qq + t * pq, c * rp - s * rq, s * rp + c * rq,
-        (c * u0 - s * v0, c * u1 - s * v1, c * u2 - s * v2), (s * u0 + c * v0, s * u1 + c * v1, s * u2 + c * v2),
-    )  # fmt: skip
-
-
-@stage
-def eigen(B: Symmetric) -> tuple[Vector, Vector, Vector, Vector]:
-    """Eigenvalues of B, each with the axis its eigenvector is nearest to, and the unit eigenvectors, by columns."""
-    b0, b1, b2, b3, b4, b5 = B
-    one, zero = splat8(1.0), splat8(0.0)
-    u, v, w = (one, zero, zero), (zero, one, zero), (zero, zero, one)
-    for _ in range(_SWEEPS):
-        off = b3 * b3 + b4 * b4 + b5 * b5
-        if bits(off > _ROUND_OFF * (b0 * b0 + b1 * b1 + b2 * b2)) == 0:
-            break
-        b0, b1, b4, b3, u, v = _turn(b0, b1, b5, b4, b3, u, v)
-        b5 = zero
-        b0, b2, b5, b3, u, w = _turn(b0, b2, b4, b5, b3, u, w)
-        b4 = zero
-        b1, b2, b5, b4, v, w = _turn(b1, b2, b3, b5, b4, v, w)
-        b3 = zero
-    return (b0, b1, b2), u, v, w
 
 
 @formula
@@ -153,12 +112,6 @@ def gradient(R: Matrix, E: Symmetric, y: Vector) -> Matrix:
 
 
 @formula
-def load_symmetric(a: Floats, b: int) -> Symmetric:
-    """Eight symmetric matrices from entry b of a (…, 6, 8)."""
-    return load8(a, b, 0), load8(a, b, 1), load8(a, b, 2), load8(a, b, 3), load8(a, b, 4), load8(a, b, 5)
-
-
-@formula
 def scaled(E: Symmetric, factors: Floats, side: int) -> Symmetric:
     """± A E A."""
     e0, e1, e2, e3, e4, e5 = E
@@ -186,12 +139,10 @@ def evaluate_tensor(F: Floats, factors: Floats, C: Floats, dC_dF: Floats) -> Non
 
 @kernel
 def find_near(model: Model, state: State) -> None:
-    """What may be at a limit at the state's positions or a step later, into state.near; its eigenpairs, state.eigen."""
-    count = 0
-    tets = model.tets.shape[0]
-    strains, factors, bounds, near, pairs = state.E, model.limit_factors, state.bound, state.near, state.eigen
-    scratch = state.stage
-    gathered = scratch.reshape((1, -1))
+    """What may be at a limit at the state's positions or a step later, into `near`; its eigenpairs into `eigen`."""
+    tensor, strains, factors, tets, count = state.tensor, state.E, model.limit_factors, model.tets.shape[0], 0
+    bounds, near, pairs, gathered = tensor.bound, tensor.near, tensor.eigen, tensor.gathered
+    whole = gathered.reshape((1, -1))
     for side in range(2):
         if factors[side, 6] + factors[side, 7] + factors[side, 8] == 0.0:  # no axis is limited on this side
             for b in range(strains.shape[0]):
@@ -211,22 +162,22 @@ def find_near(model: Model, state: State) -> None:
                 if 8 * b + l < tets:
                     near[count] = 2 * (8 * b + l) + side
                     count += 1
-    state.near_count[0] = count
+    tensor.near_count[0] = count
     for group in range((count + 7) // 8):
-        _gather(near, 8 * group, count, strains, factors, scratch)
-        values, u, v, w = eigen(load_symmetric(gathered, 0))
-        _store_vector(pairs, group, 0, values)
-        _store_vector(pairs, group, 3, u)
-        _store_vector(pairs, group, 6, v)
-        _store_vector(pairs, group, 9, w)
+        _gather(near, 8 * group, count, strains, factors, gathered)
+        values, u, v, w = eigen(load_symmetric(whole, 0))
+        store_vector(pairs, group, 0, values)
+        store_vector(pairs, group, 3, u)
+        store_vector(pairs, group, 6, v)
+        store_vector(pairs, group, 9, w)
 
 
 @stage
 def greatest_strain(model: Model, state: State) -> float:
     """The largest strain/limit; 1 is exactly at the limit. Exact, also where nothing is near."""
     greatest = 0.0
-    pairs, strains, factors, bounds = state.eigen, state.E, model.limit_factors, state.bound
-    for group in range((state.near_count[0] + 7) // 8):
+    pairs, strains, factors, bounds = state.tensor.eigen, state.E, model.limit_factors, state.tensor.bound
+    for group in range((state.tensor.near_count[0] + 7) // 8):
         for a in range(3):
             for l in range(8):
                 greatest = max(greatest, pairs[group, a, l])
@@ -247,7 +198,7 @@ def greatest_strain(model: Model, state: State) -> float:
 def all_strains(model: Model, state: State) -> None:
     """strain/limit of every tetrahedron into state.strain_ratio (T,); other projections have it there already."""
     strains, factors, ratios = state.E, model.limit_factors, state.strain_ratio
-    if state.bound.shape[0] == 0:
+    if state.tensor.bound.shape[0] == 0:
         return
     ratios[:] = 0.0
     for side in range(2):
@@ -273,21 +224,13 @@ def _largest(v: Lanes) -> float:
 
 
 @stage
-def _gather(near: Ints, first: int, count: int, E: Floats, factors: Floats, stage: Floats) -> None:
-    """± A E A of eight entries of `near` from `first` on (the last one again where they end) into stage[:6]."""
+def _gather(near: Ints, first: int, count: int, E: Floats, factors: Floats, out: Floats) -> None:
+    """± A E A of eight entries of `near` from `first` on (the last one again where they end) into out[:6]."""
     for l in range(8):
         entry = near[min(first + l, count - 1)]
         t, f = entry // 2, factors[entry % 2]
         for c in range(6):
-            stage[c, l] = E[t // 8, c, t % 8] * f[c]
-
-
-@formula
-def _store_vector(a: Floats, b: int, k: int, v: Vector) -> None:
-    v0, v1, v2 = v
-    store8(a, b, k, v0)
-    store8(a, b, k + 1, v1)
-    store8(a, b, k + 2, v2)
+            out[c, l] = E[t // 8, c, t % 8] * f[c]
 
 
 @formula
@@ -309,35 +252,54 @@ def _direction(eigen: Floats, group: int, a: int, c: int, sign: float) -> tuple[
 
 
 @stage
-def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
-    """Append a row for every eigenvalue in state.eigen that is near its limit, now or after h; return their number.
+def _gather_tets(model: Model, state: State, group: int) -> None:
+    """R, E, r_1 … r_3, 1/√a and the sign of the side of eight entries of `near`, side by side, into `gathered`."""
+    out, near_list, count = state.tensor.gathered, state.tensor.near, state.tensor.near_count[0]
+    rotations, strains, gradients, factors = state.R, state.E, model.lane_gradients, model.limit_factors
+    for l in range(8):
+        entry = near_list[min(8 * group + l, count - 1)]
+        t, side = entry // 2, entry % 2
+        b, i = t // 8, t % 8
+        for c in range(9):
+            out[c, l] = rotations[b, c, i]
+            out[15 + c, l] = gradients[b, c, i]
+        for c in range(6):
+            out[9 + c, l] = strains[b, c, i]
+        for c in range(3):
+            out[24 + c, l] = factors[side, 6 + c]
+        out[27, l] = 1.0 if side == 0 else -1.0
 
+
+@formula
+def _node_gradients(slope: Matrix, down: Lanes, whole: Floats, lane_J: Floats) -> None:
+    """∂C/∂x at the four nodes into lane_J, of ∂λ/∂F = `slope`; down: −side · room; whole: what was gathered."""
+    g0, g1, g2, g3, g4, g5, g6, g7, g8 = slope
+    s0, s1, s2 = splat8(0.0), splat8(0.0), splat8(0.0)
+    for n in range(3):
+        a0, a1, a2 = load8(whole, 0, 15 + 3 * n), load8(whole, 0, 16 + 3 * n), load8(whole, 0, 17 + 3 * n)
+        x = down * (g0 * a0 + g1 * a1 + g2 * a2)
+        y = down * (g3 * a0 + g4 * a1 + g5 * a2)
+        z = down * (g6 * a0 + g7 * a1 + g8 * a2)
+        scatter3(lane_J, 0, n, x, y, z)
+        s0, s1, s2 = s0 - x, s1 - y, s2 - z
+    scatter3(lane_J, 0, 3, s0, s1, s2)
+
+
+@stage
+def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
+    """Append a row for every eigenvalue in `eigen` that is near its limit, now or after h; return their number.
 
     Two eigenvalues that nearly coincide have two more between them: their eigenvectors may turn within the step.
     Writes what `limit_rows` does; a row's key is 2 · direction + side. -1: too many rows.
     """
-    count = state.near_count[0]
-    least = _NO_GRADIENT / model.length**2
-    nf = model.free.shape[0]
-    stage, lane_J, pairs, near_list = state.stage, state.lane_J, state.eigen, state.near
-    rotations, strains, gradients, factors = state.R, state.E, model.lane_gradients, model.limit_factors
+    tensor, nf, least = state.tensor, model.free.shape[0], _NO_GRADIENT / model.length**2
+    count, lane_J, pairs, near_list = tensor.near_count[0], tensor.lane_J, tensor.eigen, tensor.near
     tets, tet_slot, velocities = model.tets, model.tet_slot, state.moving
     J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key
     row_side, constant, shares = state.row_side, state.constant, state.compliance
-    whole = stage.reshape((1, -1))
+    whole = tensor.gathered.reshape((1, -1))
     for group in range((count + 7) // 8):
-        for l in range(8):
-            entry = near_list[min(8 * group + l, count - 1)]
-            t, side = entry // 2, entry % 2
-            b, i = t // 8, t % 8
-            for c in range(9):
-                stage[c, l] = rotations[b, c, i]
-                stage[15 + c, l] = gradients[b, c, i]
-            for c in range(6):
-                stage[9 + c, l] = strains[b, c, i]
-            for c in range(3):
-                stage[24 + c, l] = factors[side, 6 + c]
-            stage[27, l] = 1.0 if side == 0 else -1.0
+        _gather_tets(model, state, group)
         R = load_matrix(whole, 0)
         e0, e1, e2 = load8(whole, 0, 9), load8(whole, 0, 10), load8(whole, 0, 11)
         E = (e0, e1, e2, load8(whole, 0, 12), load8(whole, 0, 13), load8(whole, 0, 14))
@@ -354,17 +316,7 @@ def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
             y0, y1, y2 = load8(whole, 0, 24) * q0, load8(whole, 0, 25) * q1, load8(whole, 0, 26) * q2
             size = y0 * y0 + y1 * y1 + y2 * y2
             room = 1.0 / where(size > 0.0, size, splat8(1.0))
-            down = -load8(whole, 0, 27) * room
-            g0, g1, g2, g3, g4, g5, g6, g7, g8 = gradient(R, E, (y0, y1, y2))
-            s0, s1, s2 = splat8(0.0), splat8(0.0), splat8(0.0)
-            for n in range(3):
-                a0, a1, a2 = load8(whole, 0, 15 + 3 * n), load8(whole, 0, 16 + 3 * n), load8(whole, 0, 17 + 3 * n)
-                x = down * (g0 * a0 + g1 * a1 + g2 * a2)
-                y = down * (g3 * a0 + g4 * a1 + g5 * a2)
-                z = down * (g6 * a0 + g7 * a1 + g8 * a2)
-                scatter3(lane_J, 0, n, x, y, z)
-                s0, s1, s2 = s0 - x, s1 - y, s2 - z
-            scatter3(lane_J, 0, 3, s0, s1, s2)
+            _node_gradients(gradient(R, E, (y0, y1, y2)), -load8(whole, 0, 27) * room, whole, lane_J)
             for l in range(min(8, count - 8 * group)):
                 if not (worth >> l) & 1:
                     continue

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..arrays import Floats, Ints
 from .compile import formula, stage
-from .lanes import load4, splat4, store4, sum3
+from .lanes import Lanes, lane, load4, splat4, store4, sum3
 
 
 @formula
@@ -63,3 +63,10 @@ def copy_first(out: Floats, values: Floats, count: int) -> None:
     """out[:count] = values[:count], of plain numbers."""
     for k in range(count):
         out[k] = values[k]
+
+
+@stage
+def cross(a: Lanes, b: Lanes) -> tuple[float, float, float]:
+    """a × b."""
+    a0, a1, a2, b0, b1, b2 = lane(a, 0), lane(a, 1), lane(a, 2), lane(b, 0), lane(b, 1), lane(b, 2)
+    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0

@@ -12,6 +12,7 @@ from rich.table import Table
 from ..bags.reader import BagReader
 from ..console import table
 from ..errors import FingerSimError
+from ..physics.locking import STIFF_BULK, STRAINS
 from ..scene import Limits, Plane, Scene, locking
 from ..scene.fields import to_dict
 from ..scene.mesh import TetMesh
@@ -109,10 +110,10 @@ def _locking(scene: Scene, limits: Limits, mesh: TetMesh) -> dict[str, str]:
     is_free[scene.driven_nodes(mesh)] = False
     counted = locking.count(limits, is_free[mesh.tets].sum(axis=1), int(is_free.sum()))
     stiffness = locking.bulk_to_shear(scene.material)
-    stiff = stiffness >= locking.STIFF_BULK
+    stiff = stiffness >= STIFF_BULK
     strain, volume = locking.isochoric_strain(limits), locking.volume_at_limit(limits)
     facts = {
-        "rows against freedoms": f"up to {counted.rows_each} rows a tetrahedron, on {locking.STRAINS} strains at most: "
+        "rows against freedoms": f"up to {counted.rows_each} rows a tetrahedron, on {STRAINS} strains at most: "
         f"{counted.crowded} tetrahedra can have more rows than ways to deform; "
         f"one row each are {counted.rows} rows on {counted.freedoms} freedoms of the mesh",
         "bulk against shear": f"K/μ = {stiffness:.3g} at ν {scene.material.poisson:g}: "
@@ -133,7 +134,8 @@ def _locking(scene: Scene, limits: Limits, mesh: TetMesh) -> dict[str, str]:
 
 def _memory(scene: Scene, mesh: TetMesh) -> int:
     """Bytes of the arrays that a simulation of the scene owns."""
-    from ..physics.model import build_model, build_state
+    from ..physics.workspace import build_state
+    from ..simulation.build import build_model
 
     model = build_model(scene, mesh)
     return _bytes(model) + _bytes(build_state(model, mesh.points))

@@ -166,7 +166,8 @@ def nearest(name: str, names: Iterable[str]) -> str:
     """The one most like `name`; "" if none is near."""
     import difflib
 
-    return next(iter(difflib.get_close_matches(name, sorted(names), n=1)), "")
+    spelled = {known.lower(): known for known in sorted(names)}
+    return next((spelled[near] for near in difflib.get_close_matches(name.lower(), spelled, n=1)), "")
 
 
 def plain(value: Any) -> Any:

@@ -1,11 +1,4 @@
-"""Over-constraint ("locking"): limits that leave a tetrahedron fewer ways to deform than it needs.
-
-Two kinds are told apart. *Rows against freedoms*: a tetrahedron has six strains, fewer where its nodes are driven, and
-`hyperbolic` and `orthogonal` put up to nine rows on it; a mesh of T tetrahedra has some 3 T / 5 freedoms in all.
-*Limits against volume*: strain along one axis at constant volume strains the others, and their limits may end it
-before its own does. With 0.75 < s_2, s_1 < 1.05, s_3 < 1.02 an e2 at its limit has 0.75 · 1.05 · 1.02 = 0.80 of its
-volume at most: a bulk much stiffer than the shear forbids that, and the limit along e2 is never met.
-"""
+"""What a scene's limits may lock, before a run: physics/locking.py of its limits and its material."""
 
 from __future__ import annotations
 
@@ -15,49 +8,31 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats, Ints
+from ..physics import locking
+from ..physics.locking import STRAINS
 from .parts import Limits, Material
 
-STIFF_BULK = 3.0
-"""Bulk modulus over shear modulus from which on volume counts as kept: Poisson's ratio 0.35."""
-STRAINS = 6
-"""Ways of a tetrahedron to deform."""
+
+def ends(limits: Limits) -> tuple[Floats, Floats]:
+    """s_min and s_max along e1, e2, e3, (3,) each; 0 and ∞ on a free axis."""
+    shortest = np.array([0.0 if s is None else s for s in limits.compress])
+    longest = np.array([math.inf if s is None else s for s in limits.stretch])
+    return shortest, longest
 
 
 def bulk_to_shear(material: Material) -> float:
-    """K/μ = 2 (1 + ν) / (3 (1 − 2 ν))."""
-    nu = material.poisson
-    return 2.0 * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu))
+    """K/μ of the material."""
+    return locking.bulk_to_shear(material.poisson)
 
 
 def isochoric_strain(limits: Limits) -> Floats:
-    """Strain |s_j − 1| along e_j that the limits of the other two axes allow at constant volume. (2, 3)
-
-    Row 0 stretch, s_j ≤ 1/(s_min,k s_min,l); row 1 compression, s_j ≥ 1/(s_max,k s_max,l). ∞: the limit along e_j
-    itself comes first, or the others are free: nothing contradicts.
-    """
-    low = np.array([0.0 if s is None else s for s in limits.compress])
-    high = np.array([math.inf if s is None else s for s in limits.stretch])
-    out = np.full((2, 3), math.inf)
-    for j in range(3):
-        k, l = (j + 1) % 3, (j + 2) % 3
-        shrunk, grown = low[k] * low[l], high[k] * high[l]
-        if shrunk > 0.0 and 1.0 / shrunk < high[j]:
-            out[0, j] = 1.0 / shrunk - 1.0
-        if grown < math.inf and 1.0 / grown > low[j]:
-            out[1, j] = 1.0 - 1.0 / grown
-    return out
+    """See physics.locking.isochoric_strain. (2, 3)"""
+    return locking.isochoric_strain(*ends(limits))
 
 
 def volume_at_limit(limits: Limits) -> Floats:
-    """V/V₀ of a tetrahedron whose e_j is at its limit, as near to 1 as the other two limits let it come. (2, 3)
-
-    Row 0 stretch (≥ 1), row 1 compression (≤ 1); 1: constant volume is possible. NaN where e_j is free.
-    """
-    own = np.array([[math.nan if s is None else s for s in side] for side in (limits.stretch, limits.compress)])
-    strain = isochoric_strain(limits)
-    reach = np.stack([1.0 + strain[0], 1.0 - strain[1]])
-    bound: Floats = np.where(np.isinf(strain), own / own, own / reach)
-    return bound
+    """See physics.locking.volume_at_limit. (2, 3)"""
+    return locking.volume_at_limit(*ends(limits))
 
 
 class Count(NamedTuple):

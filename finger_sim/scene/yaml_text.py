@@ -17,14 +17,14 @@ from .fields import UNKNOWN_KEY
 
 
 class BrokenYamlError(SceneError):
-    """A file that is no well-formed YAML: where, and what is wrong there."""
+    """A file that cannot be read as YAML: where, and what is wrong there."""
 
     def __str__(self) -> str:
-        return f"{self.source}: not well-formed YAML: {self.value}" + (self.excerpt and f"\n{self.excerpt}")
+        return f"{self.source}: {self.value}" + (self.excerpt and f"\n{self.excerpt}")
 
 
 class YamlText:
-    """What a YAML file holds, as `data`. Raises SceneError when it cannot be read, BrokenYamlError if it is no YAML."""
+    """What a YAML file holds, as `data`. Raises BrokenYamlError when it cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -135,7 +135,7 @@ def _text(path: Path) -> str:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise SceneError("file", str(path), f"a file that can be read ({error.strerror})") from None
+        raise BrokenYamlError("scene", f"cannot be read: {error.strerror}", "a YAML file", str(path)) from None
     try:
         return data.decode()
     except UnicodeDecodeError as error:
@@ -159,6 +159,7 @@ def _words(error: yaml.MarkedYAMLError) -> str:
 
 
 def _broken(path: Path, problem: str, mark: yaml.Mark | None, key: str = "scene") -> BrokenYamlError:
+    problem = f"not well-formed YAML: {problem}"
     return BrokenYamlError(key, problem, "well-formed YAML", _source(path, mark), _excerpt(mark))
 
 

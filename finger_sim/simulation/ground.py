@@ -8,7 +8,8 @@ import numpy as np
 
 from ..arrays import Floats
 from ..haptics.coupling import LONGEST_GAP, between, displacement, follow
-from ..physics.model import State, plane_frame
+from ..physics.contact import plane_frame
+from ..physics.model import State
 from ..physics.rotations import Quaternion, matrix, normalised
 from ..scene import Coupling, Plane, Pose, Vec3
 

@@ -16,12 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from ..bags.excerpt import Received, Tally, commands_in, plane_poses_in
+from ..bags.excerpt import Newest, Received, Tally, commands_in, plane_poses_in
 from ..bags.interrupts import deferred
 from ..bags.reader import LONGEST_SPAN_SECONDS, BagReader, BagWriter, require_absent
 from ..errors import BagError, FingerSimError
 from .costs import Costs
-from .follower import Follower, Newest
 from .replay_output import Copies, Output
 from .summary import Summary
 
@@ -119,19 +118,21 @@ class Replay:
         if self.plane is not None:
             copies.append(Copies(self.plane, recording, "plane_pose"))
         output.topology(simulator)
-        follower = Follower(simulator, next(self.commands.poses()).pose, summary)
         plane = Newest(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
+        before = plane.received_by(self.start)
+        held = next(self.commands.poses()).pose
+        simulator.reset(held, before and before.pose)
         costs = Costs()
         for moment in self._moments():
             place = plane.received_by(self.start + moment.begin)
+            held = moment.command.pose if moment.command is not None else held
             clock = time.perf_counter()
-            result = follower.step(moment.command, place, answers=not self._free)
+            result = simulator.step(held, place and place.pose)
             costs.add(time.perf_counter() - clock)
             for copy in copies:
                 copy.up_to(self.start + moment.end)
-            if result is not None:
-                output.step(simulator, result, moment.end)
-                summary.count(result, moment.end)
+            output.step(simulator, result, moment.end)
+            summary.count(result, moment.end)
             if progress is not None:
                 progress(summary.steps, self.steps)
             interrupt()
@@ -222,9 +223,9 @@ def run(
     """Simulates the commands of `bag` and writes what the node would publish to the new bag `out`.
 
     The newest command received up to the beginning of a step holds during it; the first one places the finger
-    at rest. Poses of the plane in the bag move it likewise, from the newest before the first command on. The last
+    at rest. Poses of the plane in the bag move it likewise: it rests at the newest before the first command. The last
     step is the one that follows the last of all these. Both are copied as they were read, those that are refused
-    too: replayed, `out` gives itself. A pose that the simulator refuses counts as refused; the one before it holds.
+    too: replayed, `out` gives itself.
     A bag that the node recorded from its first command on gives the live wrench back but for where steps begin:
     what is live at a time is here within two steps of it. Of one that began later the history is not known.
     In mode triggered, as the node's, there is one step for each command, stamped with its receipt: what the node

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..arrays import Floats
 from ..errors import SceneError
@@ -16,17 +15,19 @@ from ..haptics.coupling import device_wrench, set_down, spring_wrench
 from ..physics import step as stepping
 from ..physics.clock import STAGES
 from ..physics.compile import compiling
-from ..physics.model import build_model, build_state, with_live_values
 from ..physics.ready import advance, measure_strains, ready, refresh
 from ..physics.rotations import matrix
 from ..physics.step import Status
 from ..physics.work import WORK
+from ..physics.workspace import build_state
 from ..scene import Pose, Scene, Solver, Vec3, checked_pose, place
 from ..scene.mesh import TetMesh
+from .build import build_model, with_live_values
 from .drive import Drive
 from .ground import Ground
 from .guard import Guard, Verdict
 from .result import StepResult
+from .rigid import best_fit, carried, twist_of
 
 Tell = Callable[[str], None]
 """Takes short texts on what is going on."""
@@ -120,7 +121,9 @@ class Simulator:
             if self._ground is None:
                 raise SceneError("plane", None, "a scene with a plane, to move it")
             plane = checked_pose(plane, "plane")
-        if command is None or command is self._given or (self._guard.asleep and command == self._given):
+        if command is None or command is self._given:
+            return None, plane
+        if self._guard.asleep and isinstance(command, Pose) and command == self._given:
             return None, plane
         self._given, command = command, checked_pose(command, "command")
         return command, plane
@@ -158,7 +161,7 @@ class Simulator:
         state = self._state
         wrench = state.wrench.copy()
         if not self._driven:
-            self.pose = self._best_fit()
+            self.pose = best_fit(self.mesh.points, self.positions, self._model.mass)
             wrench[3:] += np.cross(state.origin - np.array(self.pose.position), wrench[:3])
         return StepResult(
             time=self.time,
@@ -211,7 +214,8 @@ class Simulator:
         for report in (state.contact_force, state.wrench, state.warm_limit, state.limit_force, state.result):
             report[:] = 0.0
         state.active_rows[:] = 0
-        state.twist[:] = self._rigid_velocity(v) if self._yields else 0.0
+        arms = self._rest_driven @ matrix(self.pose.orientation).T
+        state.twist[:] = twist_of(arms, v[self._model.driven]) if self._yields else 0.0
         state.coupling[:] = 0.0
         state.bone[:] = (*self.pose.position, *self.pose.orientation) * 2
         state.origin[:] = self.pose.position
@@ -310,8 +314,7 @@ class Simulator:
         if not self._driven or self._yields:
             self.set_state(self.positions, np.zeros_like(self.positions))
             return
-        turn = matrix(after.orientation) @ matrix(before.orientation).T
-        moved = (self.positions - np.array(before.position)) @ turn.T + np.array(after.position)
+        moved = carried(self.positions, before, after)
         self.set_state(moved, (moved - self.positions) / h)
 
     def _restore(self) -> None:
@@ -328,23 +331,6 @@ class Simulator:
                 self.pose = there
                 self._restore()
                 self._was_set_down = True
-
-    def _rigid_velocity(self, velocities: Floats) -> Floats:
-        """(6,) velocity [m/s] of the finger frame's origin and angular velocity [rad/s], from those of all nodes."""
-        driven, arms = velocities[self._model.driven], self._rest_driven @ matrix(self.pose.orientation).T
-        turning = np.cross(np.eye(3)[None], arms[:, None, :])  # e_k × ρ
-        system = np.concatenate([np.broadcast_to(np.eye(3), turning.shape), turning], axis=1).transpose(0, 2, 1)
-        twist: Floats = np.linalg.lstsq(system.reshape(-1, 6), driven.ravel())[0]
-        return twist
-
-    def _best_fit(self) -> Pose:
-        """Frame of a free body: the rigid motion of the rest mesh nearest to the nodes, by mass."""
-        mass, x, X = self._model.mass, self.positions, self.mesh.points
-        centre, rest_centre = (mass @ x / mass.sum(), mass @ X / mass.sum())
-        turn, _ = Rotation.align_vectors(x - centre, X - rest_centre, weights=mass)
-        px, py, pz = centre - turn.apply(rest_centre)
-        qx, qy, qz, qw = turn.as_quat()
-        return Pose((float(px), float(py), float(pz)), (float(qx), float(qy), float(qz), float(qw)))
 
     def _warm_up(self) -> None:
         """Compile or load every kernel that a run will call."""

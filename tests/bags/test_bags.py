@@ -789,7 +789,7 @@ def test_commands_keep_what_hands_and_robots_do(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "hopeless") as bag:
         bag.add_topic("command_pose", cdr.POSE_STAMPED)
         bag.write("command_pose", pose(0, **bad[0]), START)
-    with pytest.raises(BagError, match="no good command; message 1: not finite"):
+    with pytest.raises(BagError, match=r"no good command; message 1: position: got \(nan"):
         read_commands(tmp_path / "hopeless")
     with BagWriter(tmp_path / "short") as bag:
         bag.add_topic("command_pose", cdr.POSE_STAMPED)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import for_each
-from domains import DOMAINS
 
 from finger_sim.bags.cdr import POSE_STAMPED, pose_stamped
 from finger_sim.bags.reader import BagReader, BagWriter, write_commands
@@ -243,7 +241,7 @@ def test_without_ros_the_extra_is_named(capsys, here, monkeypatch):
 def process(*arguments, cwd):
     """The command line in a process of its own."""
     path = os.pathsep.join(filter(None, (str(REPOSITORY), os.environ.get("PYTHONPATH"))))
-    environment = os.environ | {"PYTHONPATH": path, "ROS_DOMAIN_ID": str(next(DOMAINS))}
+    environment = os.environ | {"PYTHONPATH": path}
     return subprocess.Popen(
         [sys.executable, "-m", "finger_sim", *arguments], cwd=cwd, env=environment, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -260,26 +258,3 @@ def test_python_m_finger_sim_is_the_same(here):
     out, err = mistake.communicate(timeout=60)
     assert (mistake.returncode, out) == (2, "")
     assert err.startswith("finger_sim: error: nowhere: ")
-
-
-@pytest.mark.ros
-def test_an_interrupt_ends_play_with_130(here):
-    """While it waits for a subscriber: one line, no traceback."""
-    pytest.importorskip("rclpy")
-    play = process("play", "commands", cwd=here)
-    assert play.stderr.readline().startswith("playing /command_pose")
-    play.send_signal(signal.SIGINT)
-    _, err = play.communicate(timeout=60)
-    assert play.returncode == 130
-    assert err.strip() == "finger_sim: interrupted"
-
-
-@pytest.mark.ros
-def test_play_without_a_listener_says_so(here):
-    """It waits as long as it was told and no longer."""
-    pytest.importorskip("rclpy")
-    play = process("play", "commands", "--timeout", "0.2", cwd=here)
-    _, err = play.communicate(timeout=60)
-    assert play.returncode == 2
-    assert "nobody subscribed to /command_pose" in err
-    assert "Traceback" not in err

@@ -13,7 +13,7 @@ from physics_helpers import Array, beam_scene, finger_scene, healthy, lumped_mas
 from scipy.spatial.transform import Rotation
 
 from finger_sim import Scene, Simulator
-from finger_sim.physics.model import plane_frame
+from finger_sim.physics.contact import plane_frame
 
 G = 9.81
 

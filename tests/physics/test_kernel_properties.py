@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from finger_sim import Pose, Scene, Simulator
 from finger_sim.haptics.coupling import between, device_wrench, follow
 from finger_sim.physics import linear_solver
+from finger_sim.physics.contact import plane_frame
 from finger_sim.physics.kinematics import signed_svd
-from finger_sim.physics.model import plane_frame
 from finger_sim.physics.rotations import angle, matrix, normalised
 from finger_sim.physics.strain_limits import evaluate
 from finger_sim.scene import Coupling, Limits

@@ -105,7 +105,7 @@ def test_deformation_gradient_of_every_tetrahedron() -> None:
     mesh = scene.load_mesh()
     turned = np.array([Rotation.random(random_state=k).as_matrix() for k in range(len(mesh.tets))])
     mesh = type(mesh).from_arrays(mesh.points, mesh.tets, mesh.node_sets, turned)
-    from finger_sim.physics.model import build_model
+    from finger_sim.simulation.build import build_model
 
     model = build_model(scene, mesh)
     x = mesh.points + 1e-3 * np.random.default_rng(1).standard_normal(mesh.points.shape)

@@ -12,7 +12,7 @@ from cases import for_each
 from numpy.testing import assert_allclose
 from physics_helpers import Array, loaded
 
-from finger_sim.physics import linear_solver
+from finger_sim.physics import elimination, linear_solver
 from finger_sim.physics.compile import kernel
 from finger_sim.physics.lanes import fill4, load4, store4, sums3
 from finger_sim.scene.mesh import TetMesh
@@ -93,9 +93,9 @@ def test_panels_of_many_shapes(name: str) -> None:
     assert pattern.panel[-1] == nodes
     widths = np.diff(pattern.panel)
     assert (widths > 0).all()
-    assert (widths <= linear_solver.WIDEST).all()
+    assert (widths <= elimination.WIDEST).all()
     if name == "dense":
-        assert len(widths) == math.ceil(nodes / linear_solver.WIDEST)
+        assert len(widths) == math.ceil(nodes / elimination.WIDEST)
     for first, last in itertools.pairwise(pattern.panel):
         below = pattern.row[pattern.start[last - 1] : pattern.start[last]]
         for k in range(first, last):
@@ -122,11 +122,11 @@ def test_lanes_are_columns_of_the_inverse(nodes: int, edges: int) -> None:
     index = (3 * pattern.order[:, None] + np.arange(3)).ravel()
     whole = np.linalg.inv(A)[np.ix_(index, index)]
     for first in range(nodes):
-        Y = np.zeros((nodes, 3, linear_solver.LANES))
+        Y = np.zeros((nodes, 3, linear_solver.SIDES_AT_ONCE))
         Y[first:] = rng.standard_normal(Y[first:].shape) * (rng.random((nodes - first, 1, 1)) < 0.5)
         reached = Y.any(axis=(1, 2)).astype(np.int64)
         expected = (whole @ Y.reshape(3 * nodes, -1)).reshape(Y.shape)
-        linear_solver.solve_lanes(pattern, lower, inverse, first, reached, Y)
+        linear_solver.solve_many(pattern, lower, inverse, first, reached, Y)
         assert_allclose(Y[first:], expected[first:], rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
@@ -148,7 +148,7 @@ def test_fill_is_small_on_a_chain() -> None:
     """Minimum degree fills nothing in on a chain, whatever the numbering of its nodes."""
     names = np.random.default_rng(5).permutation(50)
     edges = np.array([names[:-1], names[1:]]).T
-    pattern = linear_solver.analyse(np.sort(edges, axis=1), 50)
+    pattern = elimination.analyse(np.sort(edges, axis=1), 50)
     assert len(pattern.row) == 49
 
 

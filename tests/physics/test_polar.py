@@ -18,8 +18,9 @@ from scipy.spatial.transform import Rotation
 
 from finger_sim.physics import polar
 from finger_sim.physics.lanes import load8, store8
-from finger_sim.physics.model import build_model, build_state
 from finger_sim.physics.ready import ready, refresh
+from finger_sim.physics.workspace import build_state
+from finger_sim.simulation.build import build_model
 
 ROUND_OFF = 1e-14
 CORNER = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
@@ -167,7 +168,7 @@ def test_a_nan_is_forgotten() -> None:
 def iterate(F: Array, quaternion: Array) -> tuple[int, int]:
     """One iteration of Newton on eight lanes: which of them are lost, and which far."""
     q = load8(quaternion, 0, 0), load8(quaternion, 0, 1), load8(quaternion, 0, 2), load8(quaternion, 0, 3)
-    (x, y, z, w), lost, far = polar._newton(polar.load_matrix(F, 0), q)
+    (x, y, z, w), lost, far = polar.newton(polar.load_matrix(F, 0), q)
     store8(quaternion, 0, 0, x)
     store8(quaternion, 0, 1, y)
     store8(quaternion, 0, 2, z)

@@ -17,9 +17,10 @@ from physics_helpers import Array, assert_derivative, beam_scene, finger_scene, 
 from scipy.spatial.transform import Rotation
 
 from finger_sim import Simulator
+from finger_sim.physics.jacobi import load_symmetric
 from finger_sim.physics.lanes import store8
 from finger_sim.physics.strain_limits import evaluate
-from finger_sim.physics.tensor_limit import NEAR, load_symmetric, upper_bound
+from finger_sim.physics.tensor_limit import NEAR, upper_bound
 from finger_sim.scene import Limits
 
 PAPER = Limits("tensor", (1.05, 1.25, 1.02), (0.95, 0.75, 0.98))
@@ -297,8 +298,8 @@ def test_no_tetrahedron_near_its_limit_is_passed_over(seed: int) -> None:
     sim = Simulator(finger_scene(limits__projection="tensor"))
     x = sim.positions + 1e-4 * np.random.default_rng(seed).standard_normal(sim.positions.shape)
     sim.set_state(x, np.zeros_like(x))
-    state = sim._state
-    seen = set(state.near[: state.near_count[0]].tolist())
+    tensor = sim._state.tensor
+    seen = set(tensor.near[: tensor.near_count[0]].tolist())
     limits, found = sim.scene.limits, 0
     for t, F in enumerate(naive.Body.of(sim.scene, sim.mesh).deformation(x)):
         for side, one in enumerate((Limits("tensor", limits.stretch), Limits("tensor", (None,) * 3, limits.compress))):  # type: ignore[union-attr]

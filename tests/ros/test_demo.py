@@ -28,8 +28,6 @@ from finger_sim.ros.loop import StepCounts
 from finger_sim.ros.play import Played
 from finger_sim.scene.resources import find_bag
 
-pytestmark = pytest.mark.ros
-
 REPOSITORY = Path(__file__).resolve().parents[2]
 ROWS = (
     "rate reached", "real-time factor", "late steps", "late steps of a bare loop", "late steps above it",

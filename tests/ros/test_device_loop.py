@@ -10,8 +10,6 @@ import pytest
 from geometry_msgs.msg import WrenchStamped
 from ros_helpers import Client, NodeProcess, command, write_block
 
-pytestmark = pytest.mark.ros
-
 COUPLED = """
 mesh: {beam: {size: [0.02, 0.01, 0.01], cells: [2, 1, 1]}}
 driven: {box: [[-1, -1, 0.0099], [1, 1, 1]]}

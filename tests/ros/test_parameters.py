@@ -17,8 +17,6 @@ from finger_sim.ros.options import NodeOptions
 from finger_sim.ros.parameters import to_ros
 from finger_sim.scene.fields import specs
 
-pytestmark = pytest.mark.ros
-
 SCENE = Scene.from_dict(
     {
         "mesh": {"beam": {"size": [0.02, 0.01, 0.01], "cells": [2, 1, 1]}},

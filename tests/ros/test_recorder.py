@@ -30,8 +30,6 @@ from finger_sim.ros.bag_pipe import COMMAND, Standby
 from finger_sim.ros.recorder import RecordedTopic, Recorder
 from finger_sim.simulation import replay
 
-pytestmark = pytest.mark.ros
-
 TOPICS = [
     RecordedTopic("/a", "geometry_msgs/msg/WrenchStamped", Qos()),
     RecordedTopic("/b", "geometry_msgs/msg/PoseStamped", Qos()),

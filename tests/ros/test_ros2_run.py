@@ -24,13 +24,10 @@ def installed() -> bool:
     return True
 
 
-pytestmark = [
-    pytest.mark.ros,
-    pytest.mark.skipif(
-        not installed(),
-        reason="finger_sim is not installed here: pip install -e '.[ros]' puts the executable in place",
-    ),
-]
+pytestmark = pytest.mark.skipif(
+    not installed(),
+    reason="finger_sim is not installed here: pip install -e '.[ros]' puts the executable in place",
+)
 
 
 @pytest.fixture

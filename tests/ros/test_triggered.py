@@ -15,8 +15,6 @@ from finger_sim import Scene
 from finger_sim.bags.reader import BagReader
 from finger_sim.simulation import replay
 
-pytestmark = pytest.mark.ros
-
 
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):

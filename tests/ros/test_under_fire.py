@@ -21,8 +21,6 @@ from shape_msgs.msg import Mesh
 
 from finger_sim.bags.reader import BagReader
 
-pytestmark = pytest.mark.ros
-
 RELIABLE = "qos_overrides./command_pose.subscription.reliability:=reliable"
 MANY = QoSProfile(depth=1000)
 

@@ -53,8 +53,9 @@ class FakeSimulator:
         self.strain_ratio = np.array([0.75])
         self.contact_forces = np.arange(12.0).reshape(4, 3)
 
-    def reset(self, pose: Pose) -> None:
+    def reset(self, pose: Pose, plane: Pose | None = None) -> None:
         self.resets.append(pose)
+        self.laid = plane
 
     def step(self, pose: Pose, plane: Pose | None = None) -> Any:
         self.commands.append(pose)
@@ -200,8 +201,8 @@ def plane_poses(path: Path, receipts: list[int], bad: tuple[int, ...] = ()) -> P
 def test_the_plane_goes_where_it_was_told(tmp_path: Path) -> None:
     """A pose of the plane counts once, in the first step that begins after its receipt, the newest of several.
 
-    The newest before the first command is in the first step; one in another frame is left out, but copied; the last
-    one is followed though no command comes with it.
+    At the beginning it rests where the newest before the first command has it; one in another frame is left out, but
+    copied; the last one is followed though no command comes with it.
     """
     ms = 1_000_000
     bag = plane_poses(tmp_path / "in", [-50 * ms, -1, 1, 3 * ms, 3 * ms + 5, 3 * ms + 7, 20 * ms, 90 * ms], bad=(6,))
@@ -209,7 +210,9 @@ def test_the_plane_goes_where_it_was_told(tmp_path: Path) -> None:
     with_plane = SimpleNamespace(dt=1e-3, plane=object())
     summary = replay.run(with_plane, bag, tmp_path / "out", simulator=fake)  # type: ignore[arg-type]
     told = {k: plane.position[0] for k, plane in enumerate(fake.planes) if plane is not None}
-    assert told == {0: 2, 1: 3, 3: 4, 4: 5, 20: 7, 90: 8}
+    assert fake.laid is not None
+    assert fake.laid.position[0] == 2
+    assert told == {1: 3, 3: 4, 4: 5, 20: 7, 90: 8}
     assert (summary.steps, summary.plane_topic) == (91, "/plane_pose")
     assert (summary.plane_poses, summary.plane_refused) == (7, 1)
     for topic in ("plane_pose", "command_pose"):

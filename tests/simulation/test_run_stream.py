@@ -1,4 +1,4 @@
-"""Replay of long bags, of windows of bags, and of commands that the simulator refuses."""
+"""Replay of long bags, of windows of bags, and of poses that are refused."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from finger_sim.bags import cdr
 from finger_sim.bags.reader import BagReader, BagWriter, write_commands
-from finger_sim.errors import BagError, SceneError
+from finger_sim.errors import BagError
 from finger_sim.scene import Pose
 from finger_sim.simulation.costs import Costs
 from finger_sim.simulation.replay import Replay, Selection, run
@@ -23,27 +23,22 @@ LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 
 class Stub:
-    """Stands for a simulator: notes what it is told, answers with what its command holds.
+    """Stands for a simulator: notes what it is told, answers with what its command holds."""
 
-    far : a command with a larger x is refused, as the simulator refuses one, and so is such a pose of the plane
-    """
-
-    def __init__(self, far: float = 1e4) -> None:
-        self.far = far
+    def __init__(self) -> None:
         self.told: list[tuple[float, float | None]] = []
         self.placed: float | None = None
+        self.laid: float | None = None
         tets = np.array([[0, 1, 2, 3]])
         self.mesh = SimpleNamespace(points=np.vstack([np.zeros(3), np.eye(3)]), tets=tets, surface=tets[:, :3])
         self.positions = self.contact_forces = self.mesh.points
         self.strain_ratio = np.zeros(1)
 
-    def reset(self, pose: Pose) -> None:
+    def reset(self, pose: Pose, plane: Pose | None = None) -> None:
         self.placed = pose.position[0]
+        self.laid = None if plane is None else plane.position[0]
 
     def step(self, pose: Pose, plane: Pose | None = None) -> Any:
-        for given in (pose, plane):
-            if given is not None and abs(given.position[0]) > self.far:
-                raise SceneError("position", given.position, "near")
         self.note(pose.position[0], None if plane is None else plane.position[0])
         wrench = np.array([pose.position[0], 0.0, 0.0, 0.0, 0.0, 0.0])
         return SimpleNamespace(
@@ -121,8 +116,8 @@ def test_a_window_begins_with_what_holds_there(tmp_path: Path) -> None:
     stub = Stub()
     window = Selection(start=0.0145, duration=0.004)
     done = run(scene(), bag, tmp_path / "out", window, simulator=stub)  # type: ignore[arg-type]
-    assert stub.placed == 2.0
-    assert stub.told == [(2.0, 12.0), (2.0, 13.0), (3.0, None), (3.0, 14.0)]
+    assert (stub.placed, stub.laid) == (2.0, 12.0)
+    assert stub.told == [(2.0, None), (2.0, 13.0), (3.0, None), (3.0, 14.0)]
     assert (done.commands, done.plane_poses, done.steps) == (2, 3, 4)
     reader = BagReader(tmp_path / "out")
     received = {
@@ -140,7 +135,8 @@ def test_a_window_in_mode_triggered(tmp_path: Path) -> None:
     stub = Stub()
     window = Selection(mode="triggered", start=0.0045, duration=0.003)
     done = run(scene(), bag, tmp_path / "out", window, simulator=stub)  # type: ignore[arg-type]
-    assert stub.told == [(1.0, 9.0), (2.0, None), (3.0, None)]
+    assert stub.laid == 9.0
+    assert stub.told == [(1.0, None), (2.0, None), (3.0, None)]
     assert (done.steps, done.commands) == (3, 3)
     again = Selection(mode="triggered")
     run(scene(), tmp_path / "out", tmp_path / "again" / "out", again, simulator=Stub())  # type: ignore[arg-type]
@@ -176,19 +172,28 @@ def test_a_window_that_is_not_in_the_bag(tmp_path: Path, window: dict[str, float
         Replay(scene(), bag, Selection(**window))  # type: ignore[arg-type]
 
 
-def test_what_the_simulator_refuses_does_not_end_a_run(tmp_path: Path) -> None:
+def test_what_is_refused_does_not_end_a_run(tmp_path: Path) -> None:
     """The command before holds, the plane stays; both are counted and copied, and the run comes to its end."""
-    commands = {0: 1.0, 2 * MS: 9e3, 4 * MS: 2.0, 5 * MS: 9e3}
-    bag = bag_of(tmp_path / "in", commands, {MS: 9e3, 3 * MS: 4.0, 5 * MS: 9e3})
-    stub = Stub(far=100.0)
+    commands = {0: 1.0, 2 * MS: 2e4, 4 * MS: 2.0, 5 * MS: 2e4}
+    bag = bag_of(tmp_path / "in", commands, {MS: 2e4, 3 * MS: 4.0, 5 * MS: 2e4})
+    stub = Stub()
     done = run(scene(), bag, tmp_path / "out", simulator=stub)  # type: ignore[arg-type]
-    assert stub.told == [(1.0, None), (1.0, None), (1.0, None), (1.0, 4.0), (2.0, None), (2.0, None)]
+    assert stub.told == [(1.0, None), (1.0, None), (1.0, None), (1.0, 4.0), (2.0, None)]
     assert (done.commands, done.refused, done.plane_poses, done.plane_refused) == (2, 2, 1, 2)
     assert len(list(BagReader(tmp_path / "out").messages(["command_pose"]))) == 4
-    stub = Stub(far=100.0)
+    stub = Stub()
     done = run(scene(), bag, tmp_path / "answers", Selection(mode="triggered"), simulator=stub)  # type: ignore[arg-type]
     assert [command for command, _ in stub.told] == [1.0, 2.0]
     assert (done.steps, done.refused) == (2, 2)
+
+
+def test_the_plane_rests_where_it_was_before_the_first_command(tmp_path: Path) -> None:
+    """The newest of its poses by then: as in the node, where it has arrived there. The next one moves it."""
+    bag = bag_of(tmp_path / "in", {5 * MS: 1.0, 8 * MS: 2.0}, {0: 3.0, 2 * MS: 4.0, 6 * MS: 5.0})
+    stub = Stub()
+    run(scene(), bag, tmp_path / "out", simulator=stub)  # type: ignore[arg-type]
+    assert (stub.placed, stub.laid) == (1.0, 4.0)
+    assert [place for _, place in stub.told if place is not None] == [5.0]
 
 
 def test_times_that_no_stamp_can_hold(tmp_path: Path) -> None:

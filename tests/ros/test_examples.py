@@ -7,11 +7,8 @@ import signal
 import subprocess
 import sys
 
-import pytest
 from geometry_msgs.msg import WrenchStamped
 from ros_helpers import REPOSITORY, TIMEOUT, Client, NodeProcess, environment
-
-pytestmark = pytest.mark.ros
 
 LOOP = REPOSITORY / "examples" / "device_loop.py"
 

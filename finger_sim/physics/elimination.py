@@ -1,0 +1,107 @@
+"""The order in which a sparse symmetric matrix of 3 × 3 blocks is factored, and what fills: found once for a graph.
+
+Minimum degree on A's graph, put into postorder. Block row and column numbers are positions in that order ("slots").
+See Davis, *Direct Methods for Sparse Linear Systems*, ch. 4 and 7.
+
+A *panel* is a run of neighbouring columns with the same rows below it (a fundamental supernode, or a part of one).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+
+from ..arrays import Ints
+from .lanes import aligned
+from .model import Pattern
+
+WIDEST = 8  # columns of a panel: two rows and two columns of it are read from the first cache again and again
+
+
+def analyse(edges: Ints, nodes: int) -> Pattern:
+    """Elimination order and fill for the graph with the given edges, (k, 2), over `nodes` nodes."""
+    order = _minimum_degree(edges, nodes)
+    below = _fill(edges, order)
+    post = _postorder(below)
+    order, place = order[post], _inverse(post)
+    columns = [np.sort(place[list(below[k])]) if below[k] else np.empty(0, np.int64) for k in post]
+    lengths = np.array([len(c) for c in columns], np.int64)
+    start = np.concatenate([[0], np.cumsum(lengths)])
+    row = np.concatenate([*columns, np.empty(0, np.int64)])
+    panel = _panels(columns)
+    rows_below = [columns[last - 1] for last in panel[1:]]
+    wanted = np.concatenate([_updates(rows, nodes) for rows in rows_below] + [np.empty(0, np.int64)])
+    target = np.searchsorted(np.repeat(np.arange(nodes), lengths) * nodes + row, wanted)
+    widths = np.diff(panel)
+    size = max((int(w * (w + len(rows))) for w, rows in zip(widths, rows_below, strict=True)), default=0)
+    return Pattern(order, _inverse(order), start, row, panel, target, aligned(size, 3, 4))
+
+
+def _inverse(permutation: Ints) -> Ints:
+    inverse = np.empty(len(permutation), np.int64)
+    inverse[permutation] = np.arange(len(permutation))
+    return inverse
+
+
+def _minimum_degree(edges: Ints, nodes: int) -> Ints:
+    """Minimum-degree order of AᵀA's cheaper sibling A + Aᵀ, as SuperLU computes it."""
+    if nodes == 0:
+        return np.empty(0, np.int64)
+    ends = edges.reshape(-1, 2)
+    ones = np.ones(len(ends))
+    graph = scipy.sparse.coo_matrix((ones, (ends[:, 0], ends[:, 1])), shape=(nodes, nodes))
+    dominant = graph + graph.T + scipy.sparse.identity(nodes) * (4.0 * nodes + 4.0)
+    factor = scipy.sparse.linalg.splu(
+        dominant.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    )
+    return _inverse(factor.perm_c)
+
+
+def _fill(edges: Ints, order: Ints) -> list[set[int]]:
+    """Rows of each column of L, numbered by place in `order`: A's own, and those of the columns it is the parent of."""
+    below: list[set[int]] = [set() for _ in order]
+    for a, b in _inverse(order)[edges.reshape(-1, 2)].tolist():
+        if a != b:
+            below[min(a, b)].add(max(a, b))
+    for column in below:
+        if column:
+            parent = min(column)
+            below[parent] |= column - {parent}
+    return below
+
+
+def _postorder(below: list[set[int]]) -> Ints:
+    """The columns with each one right after its descendants in the elimination tree, its fullest child last."""
+    children: list[list[int]] = [[] for _ in range(len(below) + 1)]
+    for k in sorted(range(len(below)), key=lambda k: len(below[k])):
+        children[min(below[k], default=-1)].append(k)
+    backwards, waiting = [], children[-1]
+    while waiting:
+        backwards.append(waiting.pop())
+        waiting.extend(children[backwards[-1]])
+    return np.array(backwards[::-1], np.int64)
+
+
+def _panels(columns: list[Ints]) -> Ints:
+    """First column of each panel, and the end: k joins k - 1 if k is its first row and has all of its other rows."""
+    firsts = [0] if columns else []
+    for k in range(1, len(columns)):
+        before = columns[k - 1]
+        joins = len(before) == len(columns[k]) + 1 and before[0] == k
+        if not joins or k - firsts[-1] == WIDEST:
+            firsts.append(k)
+    return np.array([*firsts, len(columns)], np.int64)
+
+
+def _updates(rows: Ints, nodes: int) -> Ints:
+    """column * nodes + row of the off-diagonal blocks between a panel's rows: pair of columns, row, column."""
+    row, column = np.tril_indices(len(rows), -1)
+    order = np.lexsort((column, row, column // 2))
+    return np.asarray(rows[column[order]] * nodes + rows[row[order]], np.int64)
+
+
+def block_of(pattern: Pattern, row_slot: int, column_slot: int) -> int:
+    """Index of L's (and A's) block at (row, column), row > column, both slots; it must be in the pattern."""
+    first, last = pattern.start[column_slot], pattern.start[column_slot + 1]
+    return int(first + np.searchsorted(pattern.row[first:last], row_slot))

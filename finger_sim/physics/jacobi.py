@@ -1,0 +1,145 @@
+r"""Jacobi's method: a symmetric matrix becomes diagonal by rotations that make one entry vanish at a time.
+
+In the plane of axes p and q the rotation by θ, tan 2θ = 2 B_pq / (B_qq − B_pp), |θ| ≤ π/4, makes B_pq vanish (Golub &
+Van Loan, *Matrix Computations*, ch. 8.5); axes keep their places. Sweeps over all planes converge quadratically.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..arrays import Floats
+from .compile import formula, kernel, stage
+from .lanes import BATCH, Lanes, absolute, bits, load8, maximum, splat8, sqrt, store8, where
+
+Symmetric = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]  # 00 11 22 12 02 01
+Vector = tuple[Lanes, Lanes, Lanes]
+
+_SWEEPS = 12  # 3 to 5 in practice
+_ROUND_OFF = 1e-31  # off-diagonal part squared, of the diagonal's, that ends them: entries of 3e-16 are round-off
+_LEAST = 5e-324  # the least number above 0: in place of 0 below a fraction whose numerator is 0 too
+_ORTHOGONAL = 1e-15  # cosine of the angle between two columns that counts as 0
+
+
+@formula
+def load_symmetric(a: Floats, b: int) -> Symmetric:
+    """Eight symmetric matrices from entry b of a (…, 6, 8)."""
+    return load8(a, b, 0), load8(a, b, 1), load8(a, b, 2), load8(a, b, 3), load8(a, b, 4), load8(a, b, 5)
+
+
+@formula
+def store_vector(a: Floats, b: int, k: int, v: Vector) -> None:
+    """Write eight vectors to groups k, k + 1, k + 2 of entry b of a."""
+    v0, v1, v2 = v
+    store8(a, b, k, v0)
+    store8(a, b, k + 1, v1)
+    store8(a, b, k + 2, v2)
+
+
+@formula
+def turn(pp: Lanes, qq: Lanes, pq: Lanes) -> tuple[Lanes, Lanes, Lanes]:
+    """tan θ, cos θ, sin θ of the rotation that makes entry pq vanish, of lanes or of one number."""
+    d, o = qq - pp, pq + pq
+    below = absolute(d) + sqrt(d * d + o * o)
+    t = where(d < 0.0, -o, o) / maximum(below, _LEAST)
+    c = 1.0 / sqrt(1.0 + t * t)
+    return t, c, t * c
+
+
+@formula
+def _turn3(
+    pp: Lanes, qq: Lanes, pq: Lanes, rp: Lanes, rq: Lanes, u: Vector, v: Vector
+) -> tuple[Lanes, Lanes, Lanes, Lanes, Vector, Vector]:
+    """A 3 × 3 matrix turned so that pq vanishes; u, v columns p and q of the eigenvectors."""
+    t, c, s = turn(pp, qq, pq)
+    u0, u1, u2 = u
+    v0, v1, v2 = v
+    return (
+        pp - t * pq, qq + t * pq, c * rp - s * rq, s * rp + c * rq,
+        (c * u0 - s * v0, c * u1 - s * v1, c * u2 - s * v2), (s * u0 + c * v0, s * u1 + c * v1, s * u2 + c * v2),
+    )  # fmt: skip
+
+
+@stage
+def eigen(B: Symmetric) -> tuple[Vector, Vector, Vector, Vector]:
+    """Eigenvalues of eight B, each with the axis its eigenvector is nearest to, and the unit eigenvectors, by columns.
+
+    Unrolled: what is in registers stays there.
+    """
+    b0, b1, b2, b3, b4, b5 = B
+    one, zero = splat8(1.0), splat8(0.0)
+    u, v, w = (one, zero, zero), (zero, one, zero), (zero, zero, one)
+    for _ in range(_SWEEPS):
+        off = b3 * b3 + b4 * b4 + b5 * b5
+        if bits(off > _ROUND_OFF * (b0 * b0 + b1 * b1 + b2 * b2)) == 0:
+            break
+        b0, b1, b4, b3, u, v = _turn3(b0, b1, b5, b4, b3, u, v)
+        b5 = zero
+        b0, b2, b5, b3, u, w = _turn3(b0, b2, b4, b5, b3, u, w)
+        b4 = zero
+        b1, b2, b5, b4, v, w = _turn3(b1, b2, b3, b5, b4, v, w)
+        b3 = zero
+    return (b0, b1, b2), u, v, w
+
+
+@stage
+def diagonalise4(N: Floats, V: Floats) -> None:
+    """N (4, 4), symmetric, becomes its eigenvalues on its diagonal; V (4, 4) out: unit eigenvectors, by columns.
+
+    Its rotations come from 1 / tan 2θ as those of `turn_columns`, and its sweeps are a fixed number: a body that
+    starts half round begins with this, and other last bits here are other last bits in all of its run.
+    """
+    for i in range(4):
+        for j in range(4):
+            V[i, j] = 1.0 if i == j else 0.0
+    for _ in range(_SWEEPS):
+        for p in range(3):
+            for q in range(p + 1, 4):
+                _turn4(N, V, p, q)
+
+
+@stage
+def _turn4(N: Floats, V: Floats, p: int, q: int) -> None:
+    """Turn rows and columns p, q of symmetric N (4, 4), and columns of V, so that N[p, q] vanishes."""
+    if N[p, q] == 0.0:
+        return
+    theta = (N[q, q] - N[p, p]) / (2.0 * N[p, q])
+    tangent = (1.0 if theta >= 0.0 else -1.0) / (abs(theta) + math.sqrt(1.0 + theta * theta))
+    cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
+    sine = tangent * cosine
+    for i in range(4):
+        N[i, p], N[i, q] = cosine * N[i, p] - sine * N[i, q], sine * N[i, p] + cosine * N[i, q]
+        V[i, p], V[i, q] = cosine * V[i, p] - sine * V[i, q], sine * V[i, p] + cosine * V[i, q]
+    for i in range(4):
+        N[p, i], N[q, i] = cosine * N[p, i] - sine * N[q, i], sine * N[p, i] + cosine * N[q, i]
+
+
+@kernel
+def turn_columns(b: Floats, c: Floats, v: Floats, w: Floats) -> int:
+    """One-sided: the rotation of `turn` for the matrix (F V)ᵀ F V, of which only columns are at hand.
+
+    Its tangent comes from ζ = 1 / tan 2θ and not from `turn`, which squares squared lengths once more: that would
+    overflow and underflow earlier, and give other last bits to every singular value.
+
+    Turn columns b, c of F V and v, w of V, (3, BATCH), so that b and c are orthogonal; how many lanes had to."""
+    turned = 0
+    for l in range(BATCH):
+        b0, b1, b2, c0, c1, c2 = b[0, l], b[1, l], b[2, l], c[0, l], c[1, l], c[2, l]
+        beta = b0 * b0 + b1 * b1 + b2 * b2
+        gamma = c0 * c0 + c1 * c1 + c2 * c2
+        dot = b0 * c0 + b1 * c1 + b2 * c2
+        askew = dot * dot > _ORTHOGONAL * _ORTHOGONAL * (beta * gamma)
+        zeta = (gamma - beta) / (2.0 * (dot if askew else 1.0))
+        tangent = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
+        tangent = tangent if askew else 0.0
+        cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
+        sine = cosine * tangent
+        b[0, l], c[0, l] = cosine * b0 - sine * c0, sine * b0 + cosine * c0
+        b[1, l], c[1, l] = cosine * b1 - sine * c1, sine * b1 + cosine * c1
+        b[2, l], c[2, l] = cosine * b2 - sine * c2, sine * b2 + cosine * c2
+        v0, v1, v2, w0, w1, w2 = v[0, l], v[1, l], v[2, l], w[0, l], w[1, l], w[2, l]
+        v[0, l], w[0, l] = cosine * v0 - sine * w0, sine * v0 + cosine * w0
+        v[1, l], w[1, l] = cosine * v1 - sine * w1, sine * v1 + cosine * w1
+        v[2, l], w[2, l] = cosine * v2 - sine * w2, sine * v2 + cosine * w2
+        turned += 1 if askew else 0
+    return turned

@@ -1,0 +1,228 @@
+"""A State at rest: every array of it, made before the first step and never again."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..arrays import Floats
+from .lanes import BATCH, LANES, aligned, aligned_copy, padded
+from .linear_solver import SIDES_AT_ONCE
+from .methods import LINEAR, NONE, ORTHOGONAL, PGS, TENSOR
+from .model import Model, Newton, Pgs, Principal, State, Tensor, Yielding
+from .work import WORK
+
+MAX_ROWS = 2048  # limit and contact rows of one step of `pgs`; more are left out, with a status bit
+
+
+class _Sizes(NamedTuple):
+    """How long the arrays of a model's State are; 0 where it has no use for one."""
+
+    tets: int
+    nodes: int
+    free: int
+    slots: int
+    batches: int
+    contacts: int  # rows of contact
+    rows: int
+    spectral: int  # tetrahedra with a singular value decomposition
+    tensor: int  # batches under the `tensor` limit
+    pgs: bool
+
+
+def _sizes(model: Model, nodes: int) -> _Sizes:
+    count, batches = len(model.tets), len(model.lane_volume)
+    tensor, pgs = model.projection == TENSOR, model.method == PGS
+    spectral = count if model.projection not in (NONE, TENSOR) else 0
+    contacts = len(model.contact_nodes) * model.has_plane
+    both_sides = model.projection in (ORTHOGONAL, LINEAR)
+    rows = (12 * count if tensor else (18 if both_sides else 9) * spectral) + 3 * contacts
+    if pgs:
+        rows = min(MAX_ROWS, rows)
+    return _Sizes(
+        count, nodes, len(model.free), len(model.mobility), batches, contacts, rows, spectral,
+        batches if tensor else 0, pgs,
+    )  # fmt: skip
+
+
+def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
+    """A state at rest at the given positions, (n, 3) [m], with its workspace. timed: its steps measure their stages."""
+    size = _sizes(model, len(positions))
+    return State(
+        **_body(model, size, positions),
+        **_told_and_reported(size),
+        **_saved(model, size),
+        work=np.zeros(len(WORK), np.int64),
+        laps=np.zeros(7 if timed else 0),
+        time=np.zeros(2, np.int64),
+        **_linearisation(model, size),
+        **_rows(size),
+        newton=_newton(size),
+        pgs=_pgs(size),
+        yielding=_yielding(model),
+        principal=_principal(size),
+        tensor=_tensor(size),
+    )
+
+
+def _body(model: Model, size: _Sizes, positions: Floats) -> dict[str, Any]:
+    limited, keys = model.projection != NONE, 18 if size.tensor else 9
+    x = aligned(size.nodes, 4)
+    x[:, :3] = positions
+    at_rest = np.array([[0.0], [0.0], [0.0], [1.0]])
+    return {
+        "x": x,
+        "v": aligned(size.nodes, 4),
+        "quaternion": aligned_copy(np.broadcast_to(at_rest, (size.batches, 4, LANES))),
+        "contact_force": np.zeros((size.nodes, 3)),
+        "warm_limit": np.zeros((size.tets if limited else 0, keys)),
+        "limit_force": aligned(size.tensor, LANES),
+        "held_tets": np.zeros(1, np.int64),
+        "active_rows": np.zeros(size.tets if limited else 0, np.int64),
+    }
+
+
+def _told_and_reported(size: _Sizes) -> dict[str, Any]:
+    return {
+        "plane_frame": np.eye(3),
+        "plane_point": np.zeros(3),
+        "plane_motion": np.zeros(6),
+        "moves": np.zeros(1, np.int64),
+        "target": np.zeros(13),
+        "bone": np.zeros(14),
+        "twist": np.zeros(6),
+        "coupling": np.zeros(6),
+        "result": np.zeros(11),
+        "origin": np.zeros(3),
+        "wrench": np.zeros(6),
+        "R": aligned(size.batches, 9, LANES),
+        "E": aligned(size.batches, 6, LANES),
+        "inverted": np.zeros(1, np.int64),
+        "strain_ratio": np.zeros(size.tets),
+    }
+
+
+def _saved(model: Model, size: _Sizes) -> dict[str, Any]:
+    """What lets a step take less work."""
+    return {
+        "age": np.zeros(1, np.int64),
+        "turned": aligned(0 if size.pgs else size.batches, 4, LANES),
+        "motion": np.zeros(1),
+        "held": np.zeros(1),
+        "clearance": np.full(1, -1.0),
+    }
+
+
+def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
+    limited = model.projection != NONE
+    again = size.nodes if model.relinearizations or (limited and not size.pgs) else 0
+    return {
+        "x_start": aligned(again, 4),
+        "v_start": aligned(again, 4),
+        "v_base": aligned(again, 4),
+        "moving": aligned(size.nodes, 4),
+        "driven_velocity": aligned(size.nodes, 4),
+        "g": aligned(LANES * size.batches, 4, 4),
+        "A": aligned(len(model.laplace), 3, 4),
+        "rhs": aligned(size.slots, 4),
+        "slot_velocity": aligned(size.slots, 4),
+        "slot_product": aligned(size.slots, 4),
+        "L_diagonal": aligned(size.free, 3, 4),
+        "L_lower": aligned(len(model.pattern.row), 3, 4),
+        "L_inverse": aligned(size.free, 3, 4),
+    }
+
+
+def _rows(size: _Sizes) -> dict[str, Any]:
+    rows = size.rows
+    return {
+        "J": aligned(rows, 4, 4),
+        "row_slot": np.zeros((rows, 4), np.int64),
+        "row_tet": np.zeros(rows, np.int64),
+        "row_key": np.zeros(rows, np.int64),
+        "row_side": np.zeros(rows),
+        "constant": np.zeros(rows),
+        "compliance": np.zeros(rows),
+        "scale": np.zeros(rows),
+        "lam": np.zeros(rows),
+        "best": np.zeros(rows),
+    }
+
+
+def _newton(size: _Sizes) -> Newton:
+    slots, rows, contacts = (0, 0, 0) if size.pgs else (size.slots, size.rows, size.contacts)
+    return Newton(
+        change=aligned(slots, 4),
+        direction=aligned(slots, 4),
+        tried=aligned(slots, 4),
+        best_change=aligned(slots, 4),
+        start_residual=aligned(slots, 4),
+        next_residual=aligned(slots, 4),
+        stiffness=np.zeros(rows),
+        factored=np.zeros(rows),
+        factored_holds=np.zeros(1, np.int64),
+        slip=aligned(contacts, 4),
+    )
+
+
+def _pgs(size: _Sizes) -> Pgs:
+    rows, free = (size.rows, size.free) if size.pgs else (0, 0)
+    touched = min(free, 4 * rows)
+    return Pgs(
+        diagonal=np.zeros(rows),
+        cross=np.zeros(rows),
+        has_column=np.zeros(rows, np.int64),
+        row_local=np.zeros((rows, 4), np.int64),
+        local=np.zeros(free, np.int64),
+        touched=np.zeros(touched, np.int64),
+        u=np.zeros(3 * touched + 3 if touched else 0),
+        S=np.zeros(9 * touched * touched),
+        Z=np.zeros(3 * rows * touched),
+        Y=np.zeros((free, 3, SIDES_AT_ONCE)),
+        reached=np.zeros(free, np.int64),
+    )
+
+
+def _yielding(model: Model) -> Yielding:
+    nodes = len(model.rest_driven)
+    free = len(model.free) if nodes else 0
+    return Yielding(
+        arms=aligned(nodes, 4),
+        base=np.zeros(6),
+        load=np.zeros(6),
+        stop=np.zeros(9),
+        reach=np.zeros(1),
+        pulls=np.zeros((2, 4)),
+        holds=np.zeros(2, np.int64),
+        S=np.zeros((6, 6)),
+        border=aligned(free, 3, LANES),
+        border_solved=aligned(free, 3, LANES),
+        scratch=aligned(3, LANES),
+    )
+
+
+def _principal(size: _Sizes) -> Principal:
+    tets = size.spectral
+    return Principal(
+        F=np.zeros((tets, 3, 3)),
+        U=np.zeros((tets, 3, 3)),
+        s=np.ones((tets, 3)),
+        V=np.zeros((tets, 3, 3)),
+        columns=np.zeros((3, 3, BATCH)),
+        turn=np.zeros((3, 3, BATCH)),
+        P=np.zeros((3, 3)),
+        D=np.zeros((3, 3)),
+    )
+
+
+def _tensor(size: _Sizes) -> Tensor:
+    near = padded(2 * size.tets) if size.tensor else 0
+    return Tensor(
+        bound=aligned(size.tensor, 2, LANES),
+        near=np.zeros(near, np.int64),
+        near_count=np.zeros(1, np.int64),
+        eigen=aligned(near // LANES, 12, LANES),
+        gathered=aligned(32, LANES),
+        lane_J=aligned(LANES, 4, 4),
+    )
