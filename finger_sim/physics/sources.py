@@ -16,8 +16,9 @@ _NAME = re.compile(r"[\w.]+")
 def imported(package: Path, starts: Iterable[Path]) -> list[Path]:
     """The files of `package` (its folder) that run when `starts`, files of it, are imported; `starts` among them.
 
-    Imports inside functions count, those under TYPE_CHECKING do not. A module that is imported by a string is not
-    found. A parser would take half a second of every start: imports are found by how they look, and a line of a
+    Imports inside functions count, those under TYPE_CHECKING do not; but where a package hands out names when they are
+    asked for, its imports under TYPE_CHECKING tell where they come from. Any other module that is imported by a string
+    is not found. A parser would take half a second of every start: imports are found by how they look, and a line of a
     docstring that looks like one only adds a file. Raises OSError when a file cannot be read.
     """
     found, waiting = set[Path](), list(starts)
@@ -54,6 +55,13 @@ def _targets(package: Path, file: Path) -> set[tuple[str, ...]]:
 
 
 def _files(root: Path, target: tuple[str, ...]) -> Iterator[Path]:
-    """The file of a dotted name, where it is that of a module."""
+    """The file of a dotted name, where it is that of a module; or the one that a package hands the name out from."""
     place = root.joinpath(*target)
-    yield from (file for file in (place / "__init__.py", place.with_suffix(".py")) if file.is_file())
+    modules = [file for file in (place / "__init__.py", place.with_suffix(".py")) if file.is_file()]
+    yield from modules
+    door = place.parent / "__init__.py"
+    if not modules and door.is_file() and "def __getattr__" in (text := door.read_text(encoding="utf-8")):
+        for block in _FOR_TYPES.findall(text):
+            for dots, module, names in _FROM.findall(block):
+                if dots == "." and target[-1] in _NAME.findall(names):
+                    yield door.parent.joinpath(*module.split(".")).with_suffix(".py")

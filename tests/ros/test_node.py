@@ -260,10 +260,10 @@ def test_a_budget_is_held_by_giving_up_accuracy_and_says_so(client):
     """A budget that no step can meet leads to the last rung; without one nothing is said of it."""
     assert "accuracy" not in client.report()[1]
     assert client.set("solver.budget_ms", 0.001).successful
-    status, values = client.until(lambda: held if (held := client.report())[1]["accuracy"].startswith("3 ") else None)
+    status, values = client.until(lambda: held if (held := client.report())[1]["accuracy"].startswith("2 ") else None)
     assert status.level == DiagnosticStatus.WARN
     assert "less accurate to hold 0.001 ms: capped, error not measured for this scene" in status.message
-    assert int(values["accuracy changes"]) == 3
+    assert int(values["accuracy changes"]) == 2
     assert not client.set("solver.budget_ms", -1.0).successful
     assert client.set("solver.budget_ms", math.inf).successful
     assert "accuracy" not in client.report()[1]
