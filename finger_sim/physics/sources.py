@@ -16,9 +16,9 @@ _NAME = re.compile(r"[\w.]+")
 def imported(package: Path, starts: Iterable[Path]) -> list[Path]:
     """The files of `package` (its folder) that run when `starts`, files of it, are imported; `starts` among them.
 
-    Imports inside functions count, those under TYPE_CHECKING do not: but a name that a package's `__init__` has only
-    there is one that it imports when it is asked for. Any other module that is imported by a string is not found. A
-    parser would take half a second of every start: imports are found by how they look, and a line of a
+    Imports inside functions count, those under TYPE_CHECKING do not; but where a package hands out names when they are
+    asked for, its imports under TYPE_CHECKING tell where they come from. Any other module that is imported by a string
+    is not found. A parser would take half a second of every start: imports are found by how they look, and a line of a
     docstring that looks like one only adds a file. Raises OSError when a file cannot be read.
     """
     found, waiting = set[Path](), list(starts)
@@ -29,7 +29,7 @@ def imported(package: Path, starts: Iterable[Path]) -> list[Path]:
             found.add(file)
             targets = _targets(package, file) - followed
             followed |= targets
-            waiting += (found_at for target in targets for found_at in _files(package, target))
+            waiting += (found_at for target in targets for found_at in _files(package.parent, target))
     return sorted(found)
 
 
@@ -45,27 +45,23 @@ def digest(package: Path, files: Iterable[Path]) -> str:
 def _targets(package: Path, file: Path) -> set[tuple[str, ...]]:
     """Names in the package that `file` imports, and of the packages around them, which run too."""
     text = _FOR_TYPES.sub("", file.read_text(encoding="utf-8"))
+    inside = file.parent.relative_to(package.parent).parts
     targets = {tuple(name.split(".")) for names in _IMPORT.findall(text) for name in _NAME.findall(names)}
-    targets |= {(*module, name) for module, names in _from(package, file, text) for name in names}
+    for dots, module, names in _FROM.findall(text):
+        around = inside[: len(inside) + 1 - len(dots)] if dots else ()
+        within = (*around, *filter(None, module.split(".")))
+        targets |= {(*within, name) for name in _NAME.findall(names)}
     return {target[:depth] for target in targets if target[0] == package.name for depth in range(1, len(target) + 1)}
 
 
-def _from(package: Path, file: Path, text: str) -> Iterator[tuple[tuple[str, ...], list[str]]]:
-    """Module and names of every `from … import …` in the text of a file."""
-    inside = file.parent.relative_to(package.parent).parts
-    for dots, module, names in _FROM.findall(text):
-        around = inside[: len(inside) + 1 - len(dots)] if dots else ()
-        yield (*around, *filter(None, module.split("."))), _NAME.findall(names)
-
-
-def _files(package: Path, target: tuple[str, ...]) -> Iterator[Path]:
-    """The file of a dotted name, where it is that of a module, or of one that a package imports when asked for it."""
-    place = package.parent.joinpath(*target)
-    files = [file for file in (place / "__init__.py", place.with_suffix(".py")) if file.is_file()]
-    yield from files
-    around = place.parent / "__init__.py"
-    if not files and around.is_file():
-        for block in _FOR_TYPES.findall(around.read_text(encoding="utf-8")):
-            for module, names in _from(package, around, block):
-                if target[-1] in names:
-                    yield from _files(package, module)
+def _files(root: Path, target: tuple[str, ...]) -> Iterator[Path]:
+    """The file of a dotted name, where it is that of a module; or the one that a package hands the name out from."""
+    place = root.joinpath(*target)
+    modules = [file for file in (place / "__init__.py", place.with_suffix(".py")) if file.is_file()]
+    yield from modules
+    door = place.parent / "__init__.py"
+    if not modules and door.is_file() and "def __getattr__" in (text := door.read_text(encoding="utf-8")):
+        for block in _FOR_TYPES.findall(text):
+            for dots, module, names in _FROM.findall(block):
+                if dots == "." and target[-1] in _NAME.findall(names):
+                    yield door.parent.joinpath(*module.split(".")).with_suffix(".py")

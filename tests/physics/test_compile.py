@@ -24,8 +24,9 @@ def tiny(root: Path) -> Path:
     """A package of that name with a kernel, its callee in another file and a constant outside physics/."""
     physics = root / "finger_sim" / "physics"
     physics.mkdir(parents=True)
-    for name in ("compile", "folders", "sources"):
+    for name in ("compile", "folders", "lanes", "lowering", "sources"):
         shutil.copy(PACKAGE / "physics" / f"{name}.py", physics)
+    shutil.copy(PACKAGE / "arrays.py", physics.parent)
     for file in (physics / "__init__.py", physics.parent / "__init__.py", physics.parent / "apart.py"):
         file.touch()
     (physics.parent / "numbers.py").write_text("TEN = 10.0\n")

@@ -462,8 +462,6 @@ def test_applied_values_are_those_of_a_scene_made_with_them() -> None:
     """After apply, a step is bit-identical to that of a simulator built with the values."""
     values = {
         "plane.friction": 0.1,
-        "plane.point": [0.0, 0.0, 1e-4],
-        "plane.normal": [0.01, 0.0, 1.0],
         "solver.tolerance": 1e-6,
         "solver.max_iterations": 77,
         "coupling.force_limit": 0.1,
