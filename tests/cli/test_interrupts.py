@@ -90,7 +90,8 @@ def require_finished(bag: Path) -> BagReader:
 
 
 @pytest.mark.parametrize(
-    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+    ("number", "code", "word"),
+    [pytest.param(signal.SIGINT, 130, "interrupted", marks=pytest.mark.slow), (signal.SIGTERM, 143, "terminated")],
 )
 def test_a_run_that_is_ended_leaves_a_finished_bag(here: Path, number: int, code: int, word: str) -> None:
     """What was simulated by then is in a bag that says where and why it was cut; so does the last but one line."""
@@ -113,7 +114,7 @@ def test_a_run_that_has_not_begun_leaves_nothing(here: Path) -> None:
     assert not (here / "deep").exists()
 
 
-@pytest.mark.parametrize(("most", "remains"), [(400_000, True), (30_000, False)])
+@pytest.mark.parametrize(("most", "remains"), [(400_000, True), pytest.param(30_000, False, marks=pytest.mark.slow)])
 def test_a_disk_that_is_full_leaves_a_finished_bag_or_none(here: Path, most: int, remains: bool) -> None:
     """The last whole chunks give way to the end of the file; where nothing would be left there is no bag."""
     process = started(here, "run", "block.yaml", "--bag", "long", "-o", "out", most=most)
@@ -128,6 +129,7 @@ def test_a_disk_that_is_full_leaves_a_finished_bag_or_none(here: Path, most: int
         assert not (here / "out").exists()
 
 
+@pytest.mark.slow
 def test_an_import_that_is_ended_leaves_no_bag(here: Path) -> None:
     """SIGTERM once the folder is there."""
     rows = "\n".join(f"{0.001 * k:.3f},0" for k in range(300_000))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from finger_sim import Scene, Simulator
 from finger_sim.haptics.budget import CUTS, MOST_PATIENCE, PATIENCE, WINDOW, Budget, claimed, ladder, usable
@@ -124,6 +125,7 @@ def test_errors_are_claimed_only_of_what_was_measured() -> None:
     assert claimed(beam, beam.load_mesh()) == {}
 
 
+@pytest.mark.slow
 def test_the_largest_claim_of_the_scene_for_haptics_holds() -> None:
     """Measured anew, the quickest rung does no worse by 2 times, nor better by 2 times."""
     scene = Scene.load("finger_haptic").with_values({"solver.sleep": False})

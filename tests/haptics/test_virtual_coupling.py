@@ -154,6 +154,7 @@ def test_limits_are_kept_at_3_to_5_newtons(depth: float) -> None:
 
 @for_each("dt", [0.001, 0.003, 0.01])
 @for_each("stiffness", [1e-3, 30.0, 1e5, 1e7])
+@pytest.mark.slow
 def test_any_stiffness_at_any_step_comes_to_rest(stiffness: float, dt: float) -> None:
     sim = Simulator(
         coupled(

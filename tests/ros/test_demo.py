@@ -337,9 +337,8 @@ def test_a_node_that_dies_fails_the_demo(tmp_path, capsys, monkeypatch, then, sa
     assert says in err
 
 
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_ends_the_demo_and_its_node(tmp_path, number, code):
     """While commands are played: the node is gone, its bag closed, no traceback."""
     run = process("demo", "--rate", "100", "--out", "out", cwd=tmp_path)

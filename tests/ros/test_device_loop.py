@@ -66,6 +66,7 @@ def shares(contacts, devices, begin):
     ]
 
 
+@pytest.mark.slow
 def test_a_device_pushed_against_the_plane_comes_to_rest(tmp_path):
     """Under passivity control, over real transport: it takes the force of the hand and is not driven.
 

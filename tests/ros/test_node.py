@@ -324,6 +324,7 @@ def test_recordings_on_and_off_twice(client):
         assert max(force(w)[2] for w in wrenches) > 0.5
 
 
+@pytest.mark.slow
 def test_a_hundred_recordings_leave_nothing_behind(client, node):
     """Each bag is whole and holds what its answer says; no thread, no open file and no lost number is left over."""
     assert client.set("record_compression", "lz4").successful
@@ -373,6 +374,7 @@ def test_a_long_recording_goes_on_in_new_files(client):
         assert all(topic.lost == 0 for topic in BagReader(path).topics)
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_the_recording_not_the_node(client, node):
     """Diagnostics, log and service say why; what was written is readable; with room again recording works again.
 
@@ -480,7 +482,9 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize(("compiling", "says"), [(True, "compiling for ever"), (False, "stalled")])
+@pytest.mark.parametrize(
+    ("compiling", "says"), [(True, "compiling for ever"), pytest.param(False, "stalled", marks=pytest.mark.slow)]
+)
 def test_a_loop_that_does_not_come_back_is_reported_and_can_be_ended(tmp_path, compiling, says):
     """Diagnostics go on, services answer with the reason, SIGTERM ends the node with code 0."""
     program = ("-c", STUCK.format(compiling=compiling, then="threading.Event().wait()"))

@@ -321,6 +321,7 @@ sys.exit(main())
 """
 
 
+@pytest.mark.slow
 def test_a_clock_that_jumps_does_not_tear_a_recording(tmp_path):
     """Wall clock and ROS time jump back and forth: log times rise and span the real time, stamps say ROS time."""
     bag = tmp_path / "bag"
@@ -346,6 +347,7 @@ def test_a_clock_that_jumps_does_not_tear_a_recording(tmp_path):
     assert 1.0 < reader.duration < 60.0
 
 
+@pytest.mark.slow
 def test_two_nodes_to_one_bag_are_one_too_many(tmp_path):
     """The second ends with the reason and exit code 1; the first one's bag is whole."""
     bag = tmp_path / "bag"
@@ -409,6 +411,7 @@ def test_a_live_recording_replayed_gives_the_live_wrench(tmp_path):
     assert one == other
 
 
+@pytest.mark.slow
 def test_a_plane_that_sank_live_sinks_in_the_replay(tmp_path):
     """A block held against a plane loses it at the same time, within a few steps, and not before."""
     bag, scene = tmp_path / "bag", write_block(tmp_path)

@@ -131,6 +131,7 @@ def test_parameters_and_services_are_answered_between_commands(client):
     assert not client.set("mode", "free").successful
 
 
+@pytest.mark.slow
 def test_a_sender_that_cannot_be_heard_is_told(client, node):
     """A best-effort one, for as long as it is there."""
     told = "/client publishes /command_pose best effort, must be reliable"
@@ -185,6 +186,7 @@ def test_a_recording_replays_to_the_last_bit(tmp_path):
     assert live == again
 
 
+@pytest.mark.slow
 def test_an_overridden_quality_hears_best_effort_senders(tmp_path):
     """Reliable unless told otherwise: qos_overrides are those of any ROS node."""
     arguments = ("-p", f"scene:={write_block(tmp_path)}", "-p", "mode:=triggered")

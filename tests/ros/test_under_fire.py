@@ -57,6 +57,7 @@ def numbered(number):
     return command(0.01, 1e-6 * number)
 
 
+@pytest.mark.slow
 def test_two_thousand_commands_a_second_and_bursts(client):
     """All are received, the newest is followed, none later than one that came after it."""
     poses = client.collect(PoseStamped, "pose", MANY)
@@ -116,6 +117,7 @@ def test_listeners_that_stop_reading_stop_nobody(client, node):
             reader.wait()
 
 
+@pytest.mark.slow
 def test_a_second_node_of_the_name_is_told(client, node, tmp_path):
     """For as long as it is there."""
     told = "another node is named /finger"
@@ -129,6 +131,7 @@ def test_a_second_node_of_the_name_is_told(client, node, tmp_path):
     assert node.output.count(told) == 1
 
 
+@pytest.mark.slow
 def test_a_sender_of_another_type_is_told(client, node):
     """Its messages never arrive, and DDS says nothing."""
     told = "/client publishes geometry_msgs/msg/TwistStamped on /command_pose, must be geometry_msgs/msg/PoseStamped"
@@ -212,7 +215,8 @@ def test_a_storm_of_parameters_is_answered_one_by_one(client):
     assert client.get("plane.friction") == 0.001 * 299
 
 
-@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_it_ends_while_it_compiles(tmp_path, number):
     """Code 0, without a traceback; the bag that was asked for was not begun."""
     arguments = ("-p", f"scene:={write_block(tmp_path)}", "-p", f"record:={tmp_path / 'bag'}")

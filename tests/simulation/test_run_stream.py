@@ -76,6 +76,7 @@ def content(path: Path) -> bytes:
     return next(path.glob("*.mcap")).read_bytes()
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
     """Three times the commands and steps: the most memory at a time grows by less than 30 bytes for each.
 

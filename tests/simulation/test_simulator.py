@@ -92,6 +92,7 @@ print(digest.hexdigest(), out.limited_tets > 0)
 """
 
 
+@pytest.mark.slow
 def test_fresh_processes_are_bit_identical() -> None:
     """The shipped finger, pressed, gives the same bits in two processes of their own."""
     one, two = python(FRESH), python(FRESH, PYTHONHASHSEED="17")

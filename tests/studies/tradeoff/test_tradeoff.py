@@ -426,6 +426,7 @@ def test_the_most_accurate_that_holds_is_chosen():
     assert choose(none) is none[1]
 
 
+@pytest.mark.slow
 def test_a_rate_that_holds_is_written_as_a_scene(block, capsys):
     """The scene loads, at that rate, with its measures above; a rate that nothing holds fails."""
     assert main(["tradeoff", "--for-rate", "50", "--scene", block, "--duration", "0.14", "--out", "out"]) == 0
