@@ -38,7 +38,7 @@ def store_vector(a: Floats, b: int, k: int, v: Vector) -> None:
 
 @formula
 def turn(pp: Lanes, qq: Lanes, pq: Lanes) -> tuple[Lanes, Lanes, Lanes]:
-    """tan θ, cos θ, sin θ of the rotation that makes entry pq vanish, of lanes or of one number."""
+    """tan θ, cos θ, sin θ of the rotation that makes entry pq vanish, of lanes."""
     d, o = qq - pp, pq + pq
     below = absolute(d) + sqrt(d * d + o * o)
     t = where(d < 0.0, -o, o) / maximum(below, _LEAST)
@@ -82,6 +82,17 @@ def eigen(B: Symmetric) -> tuple[Vector, Vector, Vector, Vector]:
     return (b0, b1, b2), u, v, w
 
 
+@formula
+def tangent(pp: float, qq: float, pq: float) -> float:
+    """tan θ of the same rotation, of numbers; pq is not 0.
+
+    Lanes need a form without a division by pq. Here it would square once more what are squared lengths already in
+    `turn_columns`, which overflow and underflow earlier then; and the last bits of each are those of all its runs.
+    """
+    cotangent = (qq - pp) / (2.0 * pq)  # of 2 θ
+    return (1.0 if cotangent >= 0.0 else -1.0) / (abs(cotangent) + math.sqrt(1.0 + cotangent * cotangent))
+
+
 @stage
 def diagonalise4(N: Floats, V: Floats) -> None:
     """N (4, 4), symmetric, becomes its eigenvalues on its diagonal; V (4, 4) out: unit eigenvectors, by columns.
@@ -103,10 +114,9 @@ def _turn4(N: Floats, V: Floats, p: int, q: int) -> None:
     """Turn rows and columns p, q of symmetric N (4, 4), and columns of V, so that N[p, q] vanishes."""
     if N[p, q] == 0.0:
         return
-    theta = (N[q, q] - N[p, p]) / (2.0 * N[p, q])
-    tangent = (1.0 if theta >= 0.0 else -1.0) / (abs(theta) + math.sqrt(1.0 + theta * theta))
-    cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
-    sine = tangent * cosine
+    t = tangent(N[p, p], N[q, q], N[p, q])
+    cosine = 1.0 / math.sqrt(1.0 + t * t)
+    sine = t * cosine
     for i in range(4):
         N[i, p], N[i, q] = cosine * N[i, p] - sine * N[i, q], sine * N[i, p] + cosine * N[i, q]
         V[i, p], V[i, q] = cosine * V[i, p] - sine * V[i, q], sine * V[i, p] + cosine * V[i, q]
@@ -116,12 +126,10 @@ def _turn4(N: Floats, V: Floats, p: int, q: int) -> None:
 
 @kernel
 def turn_columns(b: Floats, c: Floats, v: Floats, w: Floats) -> int:
-    """One-sided: the rotation of `turn` for the matrix (F V)ᵀ F V, of which only columns are at hand.
+    """One-sided: the rotation for the matrix (F V)ᵀ F V, of which only columns are at hand.
 
-    Its tangent comes from ζ = 1 / tan 2θ and not from `turn`, which squares squared lengths once more: that would
-    overflow and underflow earlier, and give other last bits to every singular value.
-
-    Turn columns b, c of F V and v, w of V, (3, BATCH), so that b and c are orthogonal; how many lanes had to."""
+    Turns columns b, c of F V and v, w of V, (3, BATCH), so that b and c are orthogonal. How many lanes had to.
+    """
     turned = 0
     for l in range(BATCH):
         b0, b1, b2, c0, c1, c2 = b[0, l], b[1, l], b[2, l], c[0, l], c[1, l], c[2, l]
@@ -129,11 +137,10 @@ def turn_columns(b: Floats, c: Floats, v: Floats, w: Floats) -> int:
         gamma = c0 * c0 + c1 * c1 + c2 * c2
         dot = b0 * c0 + b1 * c1 + b2 * c2
         askew = dot * dot > _ORTHOGONAL * _ORTHOGONAL * (beta * gamma)
-        zeta = (gamma - beta) / (2.0 * (dot if askew else 1.0))
-        tangent = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
-        tangent = tangent if askew else 0.0
-        cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
-        sine = cosine * tangent
+        t = tangent(beta, gamma, dot if askew else 1.0)
+        t = t if askew else 0.0
+        cosine = 1.0 / math.sqrt(1.0 + t * t)
+        sine = cosine * t
         b[0, l], c[0, l] = cosine * b0 - sine * c0, sine * b0 + cosine * c0
         b[1, l], c[1, l] = cosine * b1 - sine * c1, sine * b1 + cosine * c1
         b[2, l], c[2, l] = cosine * b2 - sine * c2, sine * b2 + cosine * c2

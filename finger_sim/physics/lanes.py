@@ -78,7 +78,7 @@ def splat8(x: float) -> Lanes:
 
 
 def sqrt(v: Lanes) -> Lanes:
-    """Square roots; of negative numbers NaN. Also of one number, as the next three."""
+    """Square roots; of negative numbers NaN."""
     return np.sqrt(v)
 
 

@@ -202,9 +202,8 @@ for _width, _kind, _read, _write, _fill in (
 def _unary(name: str) -> Callable[..., Any]:
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = args[0].type
-        width = f"v{kind.count}" if isinstance(kind, ir.VectorType) else ""
         function = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(kind, [kind]), f"llvm.{name}.{width}f64"
+            builder.module, ir.FunctionType(kind, [kind]), f"llvm.{name}.v{kind.count}f64"
         )
         return builder.call(function, args)
 
@@ -212,17 +211,15 @@ def _unary(name: str) -> Callable[..., Any]:
 
 
 def _same(v: Any) -> Any:
-    """The type of v, of lanes or of one number."""
-    return v if isinstance(v, LanesType | types.Float) else None
+    """The type of v, if it is one of lanes."""
+    return v if isinstance(v, LanesType) else None
 
 
-_function(sqrt, _same, (LanesType,), (types.Float,))(_unary("sqrt"))
-_function(absolute, _same, (LanesType,), (types.Float,))(_unary("fabs"))
+_function(sqrt, _same, (LanesType,))(_unary("sqrt"))
+_function(absolute, _same, (LanesType,))(_unary("fabs"))
 
 
-@_function(
-    maximum, lambda a, b: _same(a), (LanesType, LanesType), (LanesType, types.Float), (types.Float, types.Float)
-)  # fmt: skip
+@_function(maximum, lambda a, b: _same(a), (LanesType, LanesType), (LanesType, types.Float))
 def _lower_maximum(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     a, b = args
     if a.type != b.type:
@@ -230,9 +227,7 @@ def _lower_maximum(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return builder.select(builder.fcmp_ordered(">", a, b), a, b)
 
 
-@_function(
-    where, lambda m, a, b: _same(a), (MaskType, LanesType, LanesType), (types.Boolean, types.Float, types.Float)
-)  # fmt: skip
+@_function(where, lambda m, a, b: _same(a), (MaskType, LanesType, LanesType))
 def _lower_where(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return builder.select(*args)
 

@@ -163,10 +163,11 @@ class Simulator:
         if not self._driven:
             self.pose = best_fit(self.mesh.points, self.positions, self._model.mass)
             wrench[3:] += np.cross(state.origin - np.array(self.pose.position), wrench[:3])
+        felt = spring_wrench(state.coupling, self.pose, self._drive.end) if self._yields else wrench
         return StepResult(
             time=self.time,
             contact_wrench=wrench,
-            device_wrench=device_wrench(self.scene.coupling, self._felt(wrench)),
+            device_wrench=device_wrench(self.scene.coupling, felt),
             pose=self.pose,
             iterations=iterations,
             residual=residual,
@@ -294,12 +295,6 @@ class Simulator:
         self._state.age[0] = 0
         self._guard.wake()
         self._ready = ready(self._model, self._state)
-
-    def _felt(self, contact_wrench: Floats) -> Floats:
-        """What a device is to render, before its limits: the coupling's wrench on it, or that of the plane."""
-        if self._yields:
-            return spring_wrench(self._state.coupling, self.pose, self._drive.end)
-        return contact_wrench
 
     def _targets(self) -> Floats:
         """Where the driven nodes are to be, (nd, 3) [m], at self.pose; the turned rest nodes are kept for the next."""

@@ -241,15 +241,7 @@ class _Drake:
     PLANE = 2.0, 2.0, 0.1  # size of the box that stands for the plane [m]: half spaces do not meet deformables
 
     def __init__(self, case: PeerCase) -> None:
-        from pydrake.geometry import (
-            AddCompliantHydroelasticProperties,
-            AddContactMaterial,
-            Box,
-            GeometryInstance,
-            Mesh,
-            ProximityProperties,
-            Sphere,
-        )
+        import pydrake.geometry as shapes
         from pydrake.math import RigidTransform, RotationMatrix
         from pydrake.multibody.fem import DeformableBodyConfig, MaterialModel
         from pydrake.multibody.math import SpatialVelocity
@@ -273,9 +265,9 @@ class _Drake:
         self._plant.mutable_gravity_field().set_gravity_vector(case.gravity / unit)
 
         def surface() -> Any:
-            properties = ProximityProperties()
+            properties = shapes.ProximityProperties()
             friction = case.friction or 0.0
-            AddContactMaterial(None, None, CoulombFriction(friction, friction), properties)
+            shapes.AddContactMaterial(None, None, CoulombFriction(friction, friction), properties)
             return properties
 
         material = DeformableBodyConfig()
@@ -291,7 +283,7 @@ class _Drake:
             file = Path(folder) / "body.vtk"
             cells = [("tetra", case.tets[:, [1, 0, 2, 3]])]  # VTK's order
             meshio.write(file, meshio.Mesh(points, cells), file_format="vtk42", binary=True)
-            body = GeometryInstance(RigidTransform(), Mesh(file), "body")
+            body = shapes.GeometryInstance(RigidTransform(), shapes.Mesh(file), "body")
             body.set_proximity_properties(skin)
             self._id = self._soft.RegisterDeformableBody(body, material, 1.0)
 
@@ -300,9 +292,10 @@ class _Drake:
             gradient = 30.0 * case.young / np.cbrt(case.volumes.mean()) * unit**2  # pressure per depth
             table = surface()
             table.AddProperty("material", "relaxation_time", 0.0)
-            AddCompliantHydroelasticProperties(across, gradient * thick / 2.0, table)  # pressure peaks in the middle
+            # The pressure peaks in the middle.
+            shapes.AddCompliantHydroelasticProperties(across, gradient * thick / 2.0, table)
             below = RigidTransform([0.0, 0.0, -thick / 2.0])
-            box = Box(across, along, thick)
+            box = shapes.Box(across, along, thick)
             self._plant.RegisterCollisionGeometry(self._plant.world_body(), below, box, "plane", table)
 
         weightless = self._plant.AddModelInstance("bone")
@@ -312,7 +305,7 @@ class _Drake:
         self._bone = self._plant.AddRigidBody("bone", weightless, heavy)
         here = RigidTransform(-self._centre)
         for arm in self._arms:  # a ball that holds one vertex and no other
-            ball = Sphere(1e-6 / unit)
+            ball = shapes.Sphere(1e-6 / unit)
             self._soft.AddFixedConstraint(self._id, self._bone, here, ball, RigidTransform(arm))
 
         self._plant.Finalize()
