@@ -207,6 +207,7 @@ def test_reader_gives_log_time_order(tmp_path: Path) -> None:
     assert {m.publish_time for m in messages} == {START}
 
 
+@pytest.mark.slow
 def test_cut_anywhere_all_whole_chunks_are_read(tmp_path: Path) -> None:
     """A file cut at any byte: all of its whole chunks is read and the cut is told; never a traceback."""
     bag = write_poses(tmp_path / "bag")

@@ -106,6 +106,7 @@ def test_a_run_that_is_ended_leaves_a_finished_bag(here: Path, number: int, code
     assert "no: interrupted after" in shown.communicate(timeout=100)[0]
 
 
+@pytest.mark.slow
 def test_a_run_that_has_not_begun_leaves_nothing(here: Path) -> None:
     """SIGTERM while kernels are loaded."""
     process = started(here, "run", "block.yaml", "--bag", "long", "-o", "deep/out")
@@ -149,6 +150,7 @@ def test_sigterm_ends_a_study(here: Path) -> None:
     assert not (here / "stress_failed").exists()
 
 
+@pytest.mark.slow
 def test_the_window_of_a_run(here: Path) -> None:
     """--start and --duration arrive; what is not in the bag is refused before kernels are loaded."""
     process = started(here, "run", "block.yaml", "--bag", "long", "-o", "out", "--start", "3599.9")

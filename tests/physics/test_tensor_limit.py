@@ -293,6 +293,7 @@ def test_strain_ratio_on_the_finger(size: float) -> None:
 
 
 @for_each("seed", range(5))
+@pytest.mark.slow
 def test_no_tetrahedron_near_its_limit_is_passed_over(seed: int) -> None:
     """Every side of every tetrahedron with strain/limit above NEAR is among those looked at."""
     sim = Simulator(finger_scene(limits__projection="tensor"))

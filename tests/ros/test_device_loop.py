@@ -33,6 +33,7 @@ LEAK = 4.0 * 0.01
 """What README and `passivity` promise: four allowances of 10 mJ, beside what is in flight [J]."""
 
 
+@pytest.mark.slow
 def test_forces_come_in_on_a_ramp(tmp_path):
     """When commands start and when they resume: from nothing, a step of dt / force_ramp each, to the whole contact."""
     arguments = ("-p", f"scene:={write_block(tmp_path)}", "-p", "force_ramp:=2.0", "-p", "command_timeout:=0.5")

@@ -244,6 +244,7 @@ def test_pad_is_finely_meshed_where_it_is_pressed(source: str | int) -> None:
 
 
 @needs_gmsh
+@pytest.mark.slow
 def test_finger_is_the_same_every_time(tmp_path: Path) -> None:
     """Two generations give the same file, byte for byte."""
     for name in ("a.vtu", "b.vtu"):

@@ -87,7 +87,7 @@ def measure(progress: Meter, bodies: Mapping[str, Body] = BODIES, finer: bool = 
         scene, way = scene.with_values({"dt": 0.5 * scene.dt}), replace(way, speed=0.5 * way.speed)
         repeated[key] = press(scene, way, ENOUGH, _part(progress, done, 4.0, total))
         done += 4.0
-    return Result(presses, repeated, Scene.load(bodies[STEPS].scene).load_mesh())
+    return Result(presses, repeated, Scene.load(BODIES[STEPS].scene).load_mesh())
 
 
 def _part(progress: Meter, done: float, weight: float, total: float) -> Callable[[float], None]:

@@ -14,6 +14,8 @@ from finger_sim.studies.paper import isotropy, isotropy_measures
 from finger_sim.studies.paper.figures import plain
 from finger_sim.studies.paper.isotropy_measures import FRAME, GAPS, LEG, PROJECTIONS, ROOM, SIDES
 
+pytestmark = pytest.mark.slow
+
 HIGH, LOW = np.array([1.05, 1.25, 1.02]), np.array([0.95, 0.75, 0.98])
 """The finger's limits (the paper, Section 5.1)."""
 SMOOTH, SINGULAR = ("isotropic", "tensor"), ("hyperbolic", "linear", "orthogonal")

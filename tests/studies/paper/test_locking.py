@@ -10,6 +10,8 @@ from finger_sim.scene.locking import isochoric_strain
 from finger_sim.studies.paper import locking
 from finger_sim.studies.paper.figures import plain
 
+pytestmark = pytest.mark.slow
+
 HOLDING = [name for name in locking.PROJECTIONS if name != "orthogonal"]
 """Limits that can all hold; `orthogonal` chatters, and takes three times as long as all others."""
 

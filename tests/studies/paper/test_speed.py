@@ -18,6 +18,8 @@ from finger_sim.studies.paper import speed
 from finger_sim.studies.paper.figures import plain
 from finger_sim.studies.paper.speed import CONTENDERS, FEWEST, PIECE, Result, Timings
 
+pytestmark = pytest.mark.slow
+
 
 def ignore(done, total):
     """Told of progress."""

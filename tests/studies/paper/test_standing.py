@@ -12,6 +12,8 @@ from finger_sim.studies.paper import standing, standing_beam
 from finger_sim.studies.paper.standing import Result
 from finger_sim.studies.paper.standing_beam import FINITE, OTHER_AXES, PROJECTIONS
 
+pytestmark = pytest.mark.slow
+
 DT = 0.001
 G = 9.81
 

@@ -508,6 +508,7 @@ def exceeded(names, duration):
     ]
 
 
+@pytest.mark.slow
 def test_presets_do_what_they_claim_in_the_press():
     """Errors and work of the cheapest and of the default, within twice what was measured."""
     assert exceeded(("fastest", "haptic"), PRESSED) == []
