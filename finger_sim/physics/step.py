@@ -41,7 +41,7 @@ class Status(enum.IntFlag):
     LIMIT_EXCEEDED = (
         128  # a strain is more than half as large again as its limit: not all limits can hold, or too softly
     )
-    RESTORED = 256  # the body was beyond repair and was put back, undeformed, at its bone: see simulator.py
+    RESTORED = 256  # the body was beyond repair and was put back, undeformed, at its bone: see simulation/guard.py
 
 
 # Where `step` writes what it reports, in State.result.

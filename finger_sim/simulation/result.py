@@ -22,7 +22,7 @@ class StepResult:
     status: Status  # 0: all well
     limited_tets: int  # tetrahedra held by at least one limit
     limit_rows: int  # limit rows that carry a force
-    locked_tets: int  # tetrahedra at a limit that are over-constrained: see scene/locking.py
+    locked_tets: int  # tetrahedra at a limit that are over-constrained: see physics/locking.py
     max_strain_ratio: float  # largest strain/limit, 1: exactly at the limit; 0 without limits
     contacts: int  # nodes that carry a contact force
     max_penetration: float  # deepest surface node [m], 0 when none
