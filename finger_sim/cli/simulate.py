@@ -81,7 +81,13 @@ def add_run(verbs: Any) -> None:
     add("--bag", required=True, metavar="IN", help="bag of commands")
     add("-o", "--out", type=Path, metavar="OUT", help="bag to make (default: IN_SCENE, here)")
     add("--topic", help="topic of the commands in the bag")
-    add("--mode", choices=("free", "triggered"), default="free", help="triggered: one step for each command")
+    add(
+        "--mode",
+        choices=("free", "triggered", "recorded"),
+        default="free",
+        help="free: steps on a clock; triggered: one for each command; recorded: those that the node made, late and "
+        "skipped ones too (default: %(default)s)",
+    )
     add("--plane-topic", help="topic of the plane's poses in the bag (default: plane_pose, if it is there)")
     add(
         "--start",
@@ -98,6 +104,10 @@ def add_run(verbs: Any) -> None:
         help="seconds of the bag from there on: the last step follows the last command or pose of the plane in them "
         "(default: to the end)",
     )
+
+
+SET_DOWN = "put on the plane above, from there in 0.1 s"
+"""What is said of a finger whose first command is inside the plane."""
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -129,6 +139,7 @@ def _run(options: argparse.Namespace) -> int:
     for row in (
         ("commands", f"{done.commands} on {done.topic}, {done.refused} refused"),
         *moved,
+        *([("start", f"{1e3 * done.set_down_by:.2f} mm inside the plane: {SET_DOWN}")] if done.set_down_by else []),
         ("simulated", f"{done.duration:.3f} s in {done.steps} steps"),
         ("real-time factor", f"{done.real_time_factor:.2f}"),
         ("step time", f"median {1e3 * done.step_median:.3f} ms, p99 {1e3 * done.step_p99:.3f} ms"),

@@ -140,7 +140,7 @@ class Reporter:
         values["refused commands"] = str(refused)
         if refused:
             values["last refusal"] = reason
-        if self._stepper.stale:
+        if self._stepper.rendering.stale:
             problems.append((1, "command is stale: holding the pose"))
         if refused > self._refused:
             problems.append((1, f"{refused - self._refused} commands refused: {reason}"))

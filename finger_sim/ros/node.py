@@ -192,20 +192,20 @@ class FingerNode(Node):  # type: ignore[misc]
 
     def _tick(self) -> None:
         """A step of mode free."""
-        self._take()
-        self._stepper.tick()
+        now = time.monotonic_ns()
+        self._stepper.tick(now, self._take(now))
 
     def _take_all(self) -> list[Command]:
         """What came in, also before the loop was ready."""
         early = [self._early.popleft() for _ in range(len(self._early))]
         return early + self._take()
 
-    def _take(self) -> list[Command]:
-        """What came in; the newest of it is what the next step follows."""
-        commands = self._inbox.commands()
+    def _take(self, now: int | None = None) -> list[Command]:
+        """What came in by a steady time [ns], or till now; the newest of it is what the next step follows."""
+        commands = self._inbox.commands(now)
         if commands:
             self._stepper.newest = commands[-1]
-        plane = self._inbox.plane()
+        plane = self._inbox.plane(now)
         if plane is not None:
             self._stepper.plane = plane
         return commands

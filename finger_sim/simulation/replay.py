@@ -16,10 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from ..bags.excerpt import Newest, Received, Tally, commands_in, plane_poses_in
+from ..bags.excerpt import Arrivals, Received, Tally, commands_in, plane_poses_in
 from ..bags.interrupts import deferred
 from ..bags.reader import LONGEST_SPAN_SECONDS, BagReader, BagWriter, require_absent
 from ..errors import BagError, FingerSimError
+from ..haptics.rendering import Rendering
 from .costs import Costs
 from .replay_output import Copies, Output
 from .summary import Summary
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 STAMPS_END = 2**31 * 1_000_000_000
 """Times from here on [ns] cannot be stamps of messages: their seconds have 32 bits."""
+
+Mode = Literal["free", "triggered", "recorded"]
 
 StepsDone = Callable[[int, int], None]
 """Called with the steps done and all there are."""
@@ -48,8 +51,9 @@ class Selection:
     """Of the commands; see `bags.reader.read_commands`."""
     plane_topic: str | None = None
     """Of the plane's poses; see `bags.reader.plane_poses_of`."""
-    mode: Literal["free", "triggered"] = "free"
-    """As the node's: steps on a clock, or one step for each command, stamped with its receipt."""
+    mode: Mode = "free"
+    """As the node's: steps on a clock, or one step for each command, stamped with its receipt. "recorded": the steps of
+    mode free when the node that recorded the bag made them, so that what it computed comes out, late steps and all."""
     start: float = 0.0
     """Beginning of the window, since the first good command [s]."""
     duration: float | None = None
@@ -77,7 +81,7 @@ class Replay:
             self.plane_tally = self._plane_tally()
         self.start = self.tally.first
         """Log time from which simulated time counts [ns]."""
-        self.steps = _steps(self._last() - self.start, scene.dt) if self._free else self.tally.good
+        self.steps = self._count()
         """Steps to be made."""
         if self._last() + _nanoseconds(1, scene.dt) >= STAMPS_END:
             where = f"{self.reader.path}: topic {self.commands.topic}"
@@ -118,20 +122,34 @@ class Replay:
         if self.plane is not None:
             copies.append(Copies(self.plane, recording, "plane_pose"))
         output.topology(simulator)
-        plane = Newest(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
-        before = plane.received_by(self.start)
-        held = next(self.commands.poses()).pose
-        simulator.reset(held, before and before.pose)
-        costs = Costs()
+        plane = Arrivals(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
+        costs, rendering = Costs(), Rendering()
+        newest: Received | None = None
+        zero = self.start
         for moment in self._moments():
-            place = plane.received_by(self.start + moment.begin)
-            held = moment.command.pose if moment.command is not None else held
+            places, commands = plane.up_to(self.start + moment.begin), moment.commands
+            if newest is None:
+                commands = commands[-1:]
+                zero = commands[0].log_time
+                simulator.reset(commands[0].pose, places[-1].pose if places else None)
+                summary.set_down_by = simulator.set_down_by
             clock = time.perf_counter()
-            result = simulator.step(held, place and place.pose)
+            answers = commands[-1].pose if self.selection.mode == "triggered" else None
+            if answers is None:
+                for command in commands:
+                    simulator.hear(command.pose, 1e-9 * (command.log_time - zero))
+            now = 1e-9 * (self.start + moment.begin - zero) if answers is None else None
+            result = simulator.step(answers, places[-1].pose if places else None, now=now)
+            if answers is not None and newest is not None:
+                rendering.watch(1e-9 * (commands[-1].log_time - newest.log_time))
+            newest = commands[-1] if commands else newest
+            assert newest is not None
+            rendering.watch(1e-9 * (self.start + moment.begin - newest.log_time))
+            device = rendering.render(result.device_wrench, self.scene.coupling, self.scene.dt)
             costs.add(time.perf_counter() - clock)
             for copy in copies:
                 copy.up_to(self.start + moment.end)
-            output.step(simulator, result, moment.end)
+            output.step(simulator, result, device, moment.end)
             summary.count(result, moment.end)
             if progress is not None:
                 progress(summary.steps, self.steps)
@@ -145,18 +163,46 @@ class Replay:
     def _free(self) -> bool:
         return self.selection.mode == "free"
 
+    def _count(self) -> int:
+        """Steps to be made. Raises BagError where the mode asks for recorded ones, and there are none."""
+        match self.selection.mode:
+            case "free":
+                return _steps(self._last() - self.start, self.scene.dt)
+            case "triggered":
+                return self.tally.good
+        count = sum(1 for _ in self._recorded_steps())
+        if count == 0:
+            topic = self._steps_topic
+            raise BagError(f"{self.reader.path}: mode recorded needs the topic {topic} of the node that recorded it")
+        return count
+
+    @property
+    def _steps_topic(self) -> str:
+        return f"{self.commands.topic.rpartition('/')[0]}/contact_wrench"
+
+    def _recorded_steps(self) -> Iterator[int]:
+        """When the node began its steps, from the first that followed a command on [ns since the start]."""
+        last = self.commands.end if self.commands.end is not None else math.inf
+        for message in self.reader.messages([self._steps_topic]):
+            if self.start <= message.log_time <= last:
+                yield message.log_time - self.start
+
     def _moments(self) -> Iterator[_Moment]:
-        """When steps begin and end, with the command that came for each."""
-        if not self._free:
+        """When steps begin and end, with the commands that came for each."""
+        if self.selection.mode == "triggered":
             for command in self.commands.poses():
                 at = command.log_time - self.start
-                yield _Moment(at, at, command)
+                yield _Moment(at, at, [command])
             return
-        newest = Newest(self.commands.poses())
+        arrivals = Arrivals(self.commands.poses())
+        if self.selection.mode == "recorded":
+            for begin in self._recorded_steps():
+                yield _Moment(begin, begin, arrivals.up_to(self.start + begin))
+            return
         begin = 0
         for k in range(self.steps):
             end = _nanoseconds(k + 1, self.scene.dt)
-            yield _Moment(begin, end, newest.received_by(self.start + begin))
+            yield _Moment(begin, end, arrivals.up_to(self.start + begin))
             begin = end
 
     def _plane_tally(self) -> Tally:
@@ -243,11 +289,11 @@ def run(
 
 
 class _Moment(NamedTuple):
-    """A step: when it begins and ends [ns], and the command that came for it, if one did."""
+    """A step: when it begins, what time its results have [ns], and the commands that came for it."""
 
     begin: int
     end: int
-    command: Received | None
+    commands: list[Received]
 
 
 def _steps(last: int, dt: float) -> int:

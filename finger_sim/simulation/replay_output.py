@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ..arrays import Floats
 from ..bags import cdr
 from ..bags.excerpt import Excerpt
 from ..bags.layout import node_strain, pack_points, wrench_frame_id
@@ -56,12 +57,12 @@ class Output:
         mesh = simulator.mesh
         self._recording.write("mesh_topology", cdr.mesh(mesh.points, mesh.surface), self._start)
 
-    def step(self, simulator: Simulator, result: StepResult, end: int) -> None:
+    def step(self, simulator: Simulator, result: StepResult, device_wrench: Floats, end: int) -> None:
         """What a step gave that ended at `end` [ns]: wrenches and pose, and the deformed nodes where they are due."""
         stamp, pose = self._start + end, result.pose
         for topic, wrench in (
             ("contact_wrench", result.contact_wrench),
-            ("device_wrench", result.device_wrench),
+            ("device_wrench", device_wrench),
         ):
             self._recording.write(topic, cdr.wrench_stamped(stamp, self._wrench_frame, wrench), stamp)
         data = cdr.pose_stamped(stamp, self._frame, pose.position, pose.orientation)
