@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from finger_sim.bags import cdr
-from finger_sim.bags.compare import TopicComparison, compare
+from finger_sim.bags.compare import compare
+from finger_sim.bags.comparison import TopicComparison
 from finger_sim.bags.layout import POINT_DTYPE
 from finger_sim.bags.reader import BagWriter
 from finger_sim.cli import main
