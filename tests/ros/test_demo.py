@@ -22,7 +22,7 @@ from finger_sim import FingerSimError, Scene
 from finger_sim.bags.reader import BagReader, BagWriter, read_commands
 from finger_sim.cli import main
 from finger_sim.pictures.report import read_health
-from finger_sim.ros import demo, loop
+from finger_sim.ros import demo
 from finger_sim.ros.demo_verdict import held_rate
 from finger_sim.ros.loop import StepCounts
 from finger_sim.ros.play import Played
@@ -204,7 +204,7 @@ def test_both_loops_get_the_priority_that_is_permitted(tmp_path, capsys, monkeyp
     """That asked for, or none, which is said."""
     got = []
 
-    def prefer(priority):
+    def schedule(*_):
         if not permitted:
             raise PermissionError(1, "Operation not permitted")
 
@@ -212,7 +212,7 @@ def test_both_loops_get_the_priority_that_is_permitted(tmp_path, capsys, monkeyp
         got.append(parameters["realtime_priority"])
         raise demo.DemoError("far enough")
 
-    monkeypatch.setattr(loop, "prefer_this_thread", prefer)
+    monkeypatch.setattr(os, "sched_setscheduler", schedule)
     monkeypatch.setattr(demo, "bare_loop", lambda dt, seconds, priority: got.append(priority))
     monkeypatch.setattr(demo, "_drive", drive)
     assert main(["demo", "--priority", given, "--out", str(tmp_path / "out")]) == 1
