@@ -4,7 +4,9 @@ Put your driver where DEVICE stands. What is here moves a mass by a hand that pr
 over; start `finger_sim node --ros-args -p scene:=finger_coupled` beside it. Ends with Ctrl-C, no force on the device.
 """
 
+import argparse
 import math
+import sys
 import time
 
 import rclpy
@@ -12,6 +14,7 @@ from geometry_msgs.msg import PoseStamped, Vector3, WrenchStamped
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.utilities import remove_ros_args
 
 RATE, SILENCE = 1000.0, 0.05
 """Poses a second [Hz]; a force older than this is no longer rendered [s]."""
@@ -35,6 +38,8 @@ class Device:  # DEVICE: your driver instead
 
 
 def main() -> None:
+    usage = "%(prog)s [-h] [--ros-args -r device_wrench:=… -r command_pose:=…]"
+    argparse.ArgumentParser(usage=usage, description=__doc__).parse_args(remove_ros_args(sys.argv)[1:])
     rclpy.init()
     node, executor, device = rclpy.create_node("device"), EventsExecutor(), Device()
     executor.add_node(node)
