@@ -55,7 +55,7 @@ class FittedTable(Table):
         cells = [[str(cell) for cell in (column.header, *column.cells)] for column in self.columns]
         least = [max(cell_len(word) for cell in column for word in cell.split() or [""]) for column in cells]
         wanted = [max(cell_len(line) for cell in column for line in cell.split("\n")) for column in cells]
-        gaps = max(len(cells) - 1, 0)
+        gaps = max(len(cells) - 1, 0) * (self.padding[1] + self.padding[3])
         room = options.max_width - gaps
         if sum(least) > room and console.is_terminal:
             yield from _listed(cells, options.max_width)

@@ -8,6 +8,7 @@ bag, as the topology of a mesh, holds for the whole bag.
 
 from __future__ import annotations
 
+import hashlib
 import heapq
 import math
 from collections import deque
@@ -22,12 +23,12 @@ from .quantities import KINDS, TURN, Kind, Value, apart_by, largest_of
 from .reader import BagReader, Message, Topic, absolute
 
 LIVE = {
-    "diagnostic_msgs/msg/DiagnosticArray": "tells of the node and its machine",
-    "rcl_interfaces/msg/Log": "tells of the node and its machine",
-    "rcl_interfaces/msg/ParameterEvent": "tells of the node and its machine",
-    "visualization_msgs/msg/Marker": "a picture of mesh_points",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "rcl_interfaces/msg/Log",
+    "rcl_interfaces/msg/ParameterEvent",
+    "visualization_msgs/msg/Marker",
 }
-"""Types of what only a live node writes, and why they do not count."""
+"""Types of what only a live node writes: of itself and its machine, and for those who look on."""
 TIMED = {cdr.WRENCH_STAMPED, cdr.POSE_STAMPED}
 """Types whose lag is told."""
 
@@ -98,7 +99,7 @@ def _left_out(names: Collection[str], have: tuple[dict[str, Topic], ...]) -> Ite
         assert known is not None
         place = "only in A" if other is None else "only in B" if one is None else ""
         if known.type in LIVE:
-            reason = LIVE[known.type]
+            reason = "only a live node writes it"
         elif place and known.count == 0:
             reason = f"{place}, without a message"
         elif place and known.type not in KINDS:
@@ -182,14 +183,15 @@ class _Pair:
         self._before: _Moment | None = None
         self._last_a: int | None = None
         self._numbers = [0, 0]
-        self._before_a = self._since_a = self._before_b = 0
+        self._before_a = self._since_a = self._before_b = self._after_b = 0
 
     def take(self, side: int, time: int, message: Message) -> None:
         """The next message of A (0) or B (1)."""
         self._numbers[side] += 1
         moment = _Moment(self._paths[side], time, self._numbers[side], message)
         if self.out.identical:
-            self._unpaired[side].append(moment)
+            digest = hashlib.blake2b(message.data, digest_size=16).digest()  # one bag may be far ahead of the other
+            self._unpaired[side].append(_Moment(moment.path, time, moment.number, message._replace(data=digest)))
             if self._unpaired[1 - side]:
                 self._match(*(queue.popleft() for queue in self._unpaired))
         if self._meter is not None and self._kind is not None:
@@ -198,7 +200,7 @@ class _Pair:
             self._take_single(side, moment)
         elif side == 0:
             self._last_a, self._since_a = time, 0
-            self._waiting.append(moment)
+            self._take_a(moment)
         else:
             self._before_a += self._last_a is None
             self._since_a += self._last_a is not None and time > self._last_a
@@ -212,7 +214,7 @@ class _Pair:
                 self._differs(queue[0], f"only in {'AB'[side]}")
         for i, difference in enumerate(out.differences):
             difference.rms = math.sqrt(self._squares[i] / self._rows[i]) if self._rows[i] else 0.0
-        out.before, out.after = (self._before_b, self._before_a), (len(self._waiting), self._since_a)
+        out.before, out.after = (self._before_b, self._before_a), (self._after_b + len(self._waiting), self._since_a)
         outside = out.before[0] + out.after[0], out.before[1] + out.after[1]
         out.outside = outside if out.compared else out.messages
         if self._meter is not None and all(math.isfinite(difference.max) for difference in out.differences):
@@ -248,6 +250,17 @@ class _Pair:
             a, b = (moment, other) if side == 0 else (other, moment)
             self._waiting.clear()
             self._compare(a, b, b, 0.0)
+
+    def _take_a(self, moment: _Moment) -> None:
+        """Has it wait for B, where B may still come to its time; of those before B only the newest can have it."""
+        before, waiting = self._before, self._waiting
+        if before is not None and self._numbers[1] == self.out.messages[1] and moment.time > before.time:
+            self._after_b += 1
+            return
+        while before is None and waiting and waiting[0].time < moment.time:
+            waiting.popleft()
+            self._before_b += 1
+        waiting.append(moment)
 
     def _take_b(self, after: _Moment) -> None:
         """Compares what of A waits for B up to the time of `after`; of equal times one with one."""
