@@ -82,7 +82,8 @@ def _listed(cells: list[list[str]], width: int) -> Iterator[Text]:
     """Rows of a table one below the other: the first cell, and below it the others, each after its column's name."""
     names, *rows = zip(*cells, strict=True)
     for first, *others in rows:
-        yield from _lines(first, width, "")
+        if first:
+            yield from _lines(first, width, "")
         for name, cell in zip(names[1:], others, strict=True):
             if cell:
                 yield from _lines(f"{name}: {cell}" if name else cell, width, INDENT)
@@ -114,7 +115,7 @@ class Gauge:
         self._said = ""
         self._bar: Progress | None = None
         if sys.stderr.isatty():
-            columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+            columns = (BarColumn(), TextColumn("{task.percentage:3.0f} %"))
             self._bar = Progress(
                 *columns, TimeElapsedColumn(), console=console(sys.stderr), auto_refresh=False, transient=True
             )
