@@ -39,7 +39,7 @@ def test_the_device_loop_feels_the_table_and_ends_with_ctrl_c(tmp_path):
         assert loop.returncode == 0, output
         felt = re.search(r"(\d+) wrenches came, the largest force was ([\d.]+) N", output)
         assert felt, output
-        assert int(felt[1]) > 100
+        assert int(felt[1]) > 10
         assert 0.5 < float(felt[2]) <= 10.0
         assert node.end() == 0, node.output
 

@@ -473,7 +473,7 @@ def test_a_light_touch_at_rest_is_no_warning(tmp_path):
     with NodeProcess(tmp_path / "log", "-p", "scene:=finger_coupled") as node, Client(node.domain) as client:
         node.wait_for("ready after")
         assert "real-time priority" in node.output
-        heights = iter(np.linspace(0.012, PRESSED, 300))
+        heights = iter(np.linspace(0.009, PRESSED, 40))
 
         def press():
             message.pose.position.z = next(heights, PRESSED)
