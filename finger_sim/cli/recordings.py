@@ -76,11 +76,11 @@ def add_info(verbs: Any) -> None:
 
 
 def _info(options: argparse.Namespace) -> int:
-    from ..console import console
+    from ..console import show
     from ..pictures.info import info
 
     for title, table in info(options.what):
-        console().print(title, table, "", sep="\n")
+        show(title, table, "")
     return DONE
 
 
@@ -95,7 +95,12 @@ def add_compare(verbs: Any) -> None:
     add = compare.add_argument
     add("a", metavar="A", help="bag")
     add("b", metavar="B", help="bag to compare with it, at the same log times")
-    add("--topic", action="append", help="topic to compare; may be repeated (default: all of either)")
+    add(
+        "--topic",
+        action="append",
+        help="topic to compare; may be repeated (default: all that measure something)",
+    )
+    add("--all", action="store_true", help="compare also what only a live node writes, and what only one bag has")
     add(
         "--tolerance",
         type=from_zero,
@@ -110,18 +115,19 @@ def add_compare(verbs: Any) -> None:
 def _compare(options: argparse.Namespace) -> int:
     import json
 
-    from ..bags.compare import compare, verdict
-    from ..console import console, say
+    from ..bags.compare import compare
+    from ..bags.verdict import verdict
+    from ..console import say, show
     from ..scene.resources import find_bag
 
     found = compare(
         find_bag(options.a), find_bag(options.b),
-        topics=options.topic, tolerance=options.tolerance, overlap=options.overlap,
+        topics=options.topic, tolerance=options.tolerance, overlap=options.overlap, everything=options.all,
     )  # fmt: skip
     for warning in found.warnings:
         say(f"finger_sim: warning: {warning}")
     if options.json:
         print(json.dumps(found.as_plain(), indent=2, allow_nan=False))
     else:
-        console().print(*verdict(found), sep="\n")
+        show(*verdict(found))
     return DONE if found.equal else FAILED

@@ -16,6 +16,8 @@ def add_demo(verbs: Any) -> None:
         _demo,
         "the main job: node, commands over ROS 2, recording, picture, table",
         "finger_sim demo --duration 3 --out first_touch",
+        more="Node and commands meet in a ROS domain of their own: a free one, on this machine\n"
+        "only. ROS_DOMAIN_ID is not looked at, and no other node is met or disturbed.",
     )
     add = demo.add_argument
     add("--scene", default="finger_haptic", help="scene to simulate (default: %(default)s)")
@@ -46,7 +48,7 @@ def add_demo(verbs: Any) -> None:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    from ..console import console, say
+    from ..console import say, show
     from ..ros.demo import DemoError, run_demo
 
     try:
@@ -57,7 +59,7 @@ def _demo(options: argparse.Namespace) -> int:
     except DemoError as error:
         say(f"finger_sim: the demo failed: {error}")
         return FAILED
-    console().print(outcome.table())
+    show(outcome.table())
     for shortfall in outcome.shortfalls:
         say(f"finger_sim: not held by this machine: {shortfall}")
     for advice in outcome.advice:
@@ -112,7 +114,7 @@ SET_DOWN = "put on the plane above, from there in 0.1 s"
 
 def _run(options: argparse.Namespace) -> int:
     from ..bags.reader import require_absent
-    from ..console import console, gauge, say, table
+    from ..console import gauge, say, show, table
     from ..scene import Scene
     from ..scene.resources import find_bag, find_scene
     from ..simulation.replay import Replay, Selection
@@ -151,7 +153,7 @@ def _run(options: argparse.Namespace) -> int:
         ("bag", str(done.out)),
     ):
         rows.add_row(*row)
-    console().print(rows)
+    show(rows)
     return DONE
 
 
@@ -209,6 +211,8 @@ def add_node(verbs: Any) -> None:
         _node,
         "the ROS 2 node in the foreground, as finger_node of `ros2 run`",
         "finger_sim node --ros-args -p scene:=finger -p record:=touch -r command_pose:=/device/pose",
+        more="Its loop gets priority 20 of SCHED_FIFO where the system permits it, none with\n"
+        "-p realtime_priority:=0. Its log says which it has, and how to permit it.",
         usage="finger_sim node [-h] [--ros-args …]",
     )
 

@@ -135,9 +135,8 @@ class FingerNode(Node):  # type: ignore[misc]
     def _close(self) -> int:
         stopped = self._loop.stop(timeout=0.5 if self._loop.ready else 0.1)
         recorder = self._outputs.recorder
-        if recorder is not None:
-            recorder.close()
-            self.get_logger().info(recorder.summary())
+        if recorder is not None and recorder.active:
+            self._end_recording(recorder)
         self._standby.end()
         error = self._loop.error
         if error is not None:
@@ -153,24 +152,26 @@ class FingerNode(Node):  # type: ignore[misc]
         self._stepper.prepare(self._on_progress)
         if self._outputs.options.record:
             self._record(_bag_path("record", self._outputs.options.record))
-        self._place_this_thread(self._outputs.options.realtime_priority)
+        priority = self._place_this_thread(self._outputs.options.realtime_priority)
         # A full collection would look at every object numba made: 150 ms in which no step can begin.
         gc.collect()
         gc.freeze()
         scene, options = self._stepper.scene, self._outputs.options
         pace = f"at {1.0 / scene.dt:g} Hz" if options.mode == "free" else "one step for each command"
         self.get_logger().info(
-            f"ready after {_process_age():.1f} s: {options.scene}, {len(self._stepper.sim.mesh.tets)} tets, {pace}"
+            f"ready after {_process_age():.1f} s: {options.scene}, {len(self._stepper.sim.mesh.tets)} tets, {pace}, "
+            + (f"real-time priority {priority}" if priority else "no real-time priority")
         )
 
-    def _place_this_thread(self, priority: int) -> None:
+    def _place_this_thread(self, priority: int) -> int:
+        """On the processors asked for, and with the priority, where that is permitted; the one it has."""
         if self._processors:
             os.sched_setaffinity(0, self._processors)
-        try:
-            if priority > 0:
-                prefer_this_thread(priority)
-        except OSError as error:
-            self.get_logger().warning(f"realtime_priority {priority}: {error.strerror}; running as any other thread")
+        refused = prefer_this_thread(priority)
+        if refused is not None:
+            self.get_logger().info(refused)
+            return 0
+        return priority
 
     def _on_progress(self, text: str) -> None:
         self._progress = text
@@ -247,7 +248,7 @@ class FingerNode(Node):  # type: ignore[misc]
                 recorder = self._record(_free_name(self._bags))
                 response.success, response.message = True, f"recording {recorder.path}"
             elif recorder is not None:
-                recorder.close()
+                self._end_recording(recorder)
                 response.success, response.message = recorder.error is None, recorder.summary()
         except FingerSimError as error:
             response.success, response.message = False, str(error)
@@ -264,7 +265,12 @@ class FingerNode(Node):  # type: ignore[misc]
         failed = self.get_logger().error
         recorder = Recorder(path, topics, options.record_queue, self._standby.pipe(), bag, failed)
         self._outputs.start_recording(recorder)
+        self.get_logger().info(f"recording {recorder.path}")
         return recorder
+
+    def _end_recording(self, recorder: Recorder) -> None:
+        recorder.close()
+        self.get_logger().info(f"recorded {recorder.summary()}")
 
     def _ask(self, answer: Future[Any]) -> Any:
         """What the loop answers. Raises FingerSimError when it does not."""

@@ -24,6 +24,10 @@ from .messages import time_of
 from .options import NodeOptions
 from .outputs import Outputs
 
+DOUBTFUL = ~Status.LOCKED
+"""Status of a step that did not do what was asked. LOCKED alone is how limits of a scene hold tissue that keeps its
+volume: the solver converged, the limits are met. Where they are not, ITERATION_LIMIT or LIMIT_EXCEEDED say so."""
+
 
 @dataclasses.dataclass
 class Window:
@@ -42,6 +46,8 @@ class Window:
     status: Status = Status.OK
     troubled: int = 0
     """Steps with a status bit set."""
+    doubtful: int = 0
+    """Steps with one of DOUBTFUL set."""
 
     def add(self, out: StepResult) -> None:
         self.steps += 1
@@ -57,6 +63,7 @@ class Window:
         if out.status:
             self.status |= out.status
             self.troubled += 1
+            self.doubtful += bool(out.status & DOUBTFUL)
 
 
 class Stepper:

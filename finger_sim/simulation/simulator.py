@@ -16,7 +16,7 @@ from ..haptics.coupling import device_wrench, outside, set_down, spring_wrench
 from ..physics import step as stepping
 from ..physics.clock import STAGES
 from ..physics.compile import compiling
-from ..physics.ready import advance, measure_strains, ready, refresh
+from ..physics.ready import KERNELS, advance, measure_strains, ready, refresh
 from ..physics.rotations import matrix
 from ..physics.step import Status
 from ..physics.work import WORK
@@ -53,7 +53,6 @@ class Simulator:
         tell(f"mesh: {len(self.mesh.tets)} tetrahedra, {len(self.mesh.points)} nodes")
         self._model = build_model(scene, self.mesh)
         self._state = build_state(self._model, self.mesh.points, timed)
-        self._ready = ready(self._model, self._state)
         self._rest_driven = self.mesh.points[self._model.driven]
         self._turned_by, self._turned_driven = Pose().orientation, self._rest_driven
         self._driven = scene.driven is not None
@@ -74,7 +73,8 @@ class Simulator:
         self._was_set_down = False
         self._steps = 0
         self._timed = timed
-        with compiling(tell):
+        with compiling(tell, KERNELS):
+            self._ready = ready(self._model, self._state)
             self._warm_up()
         self.reset(scene.initial_pose)
         tell("ready")
