@@ -21,13 +21,10 @@ from ..errors import FingerSimError
 from ..physics.rotations import matrix, normalised
 from ..scene.mesh import TetMesh
 from ..scene.resources import shipped
-from .imports import ImportSummary, import_csv
 from .reader import START, write_commands
 
 __all__ = [
-    "ImportSummary",
     "Stroke",
-    "import_csv",
     "make_bags",
     "minimum_jerk",
     "touch_height",

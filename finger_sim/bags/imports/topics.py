@@ -1,0 +1,179 @@
+"""Poses on a topic of a bag, of ROS 2 or ROS 1."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...errors import BagError
+from ...physics.rotations import Quaternion, unit
+from ...scene import Vec3
+from ..message import Topic
+from ..reader import absolute
+from .arrivals import Bag, open_bag
+from .formats import Clock
+from .recorded import Reading, Recorded
+
+POSE, COVARIANCE, TRANSFORM, ODOMETRY = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+    "nav_msgs/msg/Odometry",
+)
+POSES = (POSE, COVARIANCE, TRANSFORM, ODOMETRY)
+"""Types of topics that are poses."""
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+"""Types of topics of transforms between frames, of today and of the oldest ROS 1."""
+TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+
+
+class Sample(NamedTuple):
+    """A pose in a message: `number` on its topic, `receipt` and `stamp` [ns], frames, and the numbers as sent."""
+
+    number: int
+    receipt: int
+    stamp: int
+    frame: str
+    child: str
+    position: Vec3
+    orientation: Quaternion
+
+    def refusal(self) -> str | None:
+        """Why its numbers are no pose; None where they are."""
+        if not all(map(math.isfinite, self.position)):
+            return f"position: got {self.position}, allowed: finite numbers"
+        if unit(self.orientation) is None:
+            return f"orientation: got {self.orientation}, allowed: a finite quaternion that is not zero"
+        return None
+
+
+def sample(number: int, receipt: int, message: Any) -> Sample:
+    """The pose in a message of one of POSES."""
+    header = message.header
+    child = getattr(message, "child_frame_id", "")
+    if hasattr(message, "transform"):
+        p, q = message.transform.translation, message.transform.rotation
+    else:
+        pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+        p, q = pose.position, pose.orientation
+    stamp = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+    frames = header.frame_id.lstrip("/"), child.lstrip("/")
+    return Sample(number, receipt, stamp, *frames, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+
+
+def read_bag(source: Path, reading: Reading) -> Recorded:
+    """The poses on a topic, or of one frame in another. Raises BagError where there are none, or several to choose."""
+    for option, given in (
+        ("--columns", reading.columns), ("--where", reading.where), ("--concatenate", reading.concatenate),
+        ("--times", reading.times), ("--time-unit", reading.time_unit),
+    ):  # fmt: skip
+        if given:
+            raise BagError(f"{source}: is a bag; {option} is for text files")
+    bag = open_bag(source)
+    if reading.tf is not None:
+        if reading.topic is not None:
+            raise BagError("--tf and --from-topic: allowed: one of them")
+        from .frames import read_frames
+
+        return read_frames(bag, reading.tf, reading.clock)
+    return _read_topic(bag, _chosen(bag, reading.topic), reading.clock)
+
+
+def _chosen(bag: Bag, topic: str | None) -> Topic:
+    """The topic that was asked for, or the only one with poses."""
+    if topic is not None:
+        found = next((each for each in bag.topics if each.name == absolute(topic)), None)
+        if found is None:
+            raise BagError(f"{bag.path}: no topic {absolute(topic)}; found {listed(bag.topics)}")
+        if found.type in TRANSFORMS:
+            raise BagError(f"{bag.path}: topic {found.name} holds transforms: say which with --tf PARENT CHILD")
+        if found.type not in POSES:
+            raise BagError(f"{bag.path}: topic {found.name} is {found.type}, allowed: {', '.join(POSES)}{_why(found)}")
+        return found
+    poses = [each for each in bag.topics if each.type in POSES and each.count]
+    if len(poses) == 1:
+        return poses[0]
+    if poses:
+        raise BagError(f"{bag.path}: several topics of poses: {listed(poses)}; choose one with --from-topic")
+    if any(each.type in TRANSFORMS and each.count for each in bag.topics):
+        from .frames import frame_pairs
+
+        pairs = "; ".join(frame_pairs(bag))
+        raise BagError(f"{bag.path}: poses are in transforms only: say which with --tf PARENT CHILD; found {pairs}")
+    cut = f"; {bag.warning}" if bag.warning else ""
+    why = next((text for each in bag.topics if (text := _why(each))), "")
+    raise BagError(
+        f"{bag.path}: no topic of poses, allowed: {', '.join(POSES)}, or transforms with --tf; "
+        f"found {listed(bag.topics)}{why}{cut}"
+    )
+
+
+def listed(topics: Sequence[Topic]) -> str:
+    """Topics with their types and counts."""
+    return ", ".join(f"{each.name} ({each.type}, {each.count} messages)" for each in topics) or "no topic"
+
+
+def _why(topic: Topic) -> str:
+    velocities = "velocities say no place: record the device's PoseStamped, TransformStamped, Odometry or /tf"
+    return f"; {velocities}" if topic.type in TWISTS else ""
+
+
+def _read_topic(bag: Bag, topic: Topic, clock: Clock | None) -> Recorded:
+    """All good poses of a topic in its frame; the others are left out and counted."""
+    samples = [sample(each.number, each.log_time, each.message) for each in bag.arrivals([topic.name])]
+    if not samples:
+        raise BagError(f"{bag.path}: topic {topic.name} has no message")
+    where = f"{bag.path}: topic {topic.name}"
+    children = sorted({each.child for each in samples})
+    if topic.type == TRANSFORM and len(children) > 1:
+        raise BagError(f"{where}: moves several frames: {', '.join(children)}; choose one with --tf PARENT CHILD")
+    frame = Counter(each.frame for each in samples).most_common(1)[0][0]
+    good, refusals = [], []
+    for each in samples:
+        reason = f"frame {each.frame!r}, not {frame!r}" if each.frame != frame else each.refusal()
+        if reason:
+            refusals.append(f"message {each.number}: {reason}")
+        else:
+            good.append(each)
+    if not good:
+        raise BagError(f"{where}: has no good pose; {refusals[0]}")
+    by_header, note = clocked([each.stamp for each in good], clock, where)
+    times = [each.stamp if by_header else each.receipt for each in good]
+    warnings = [f"{len(refusals)} messages are left out; {refusals[0]}"] if refusals else []
+    return Recorded(
+        format=f"{topic.type} on {topic.name}" + (f", {children[0]}" if children[0] else "") + f" in {frame!r}",
+        time=[time - times[0] for time in times],
+        position=np.array([each.position for each in good]),
+        orientation=np.array([each.orientation for each in good]),
+        places=[f"{where}, message {each.number}" for each in good],
+        notes=(note,),
+        warnings=(*warnings, *([bag.warning] if bag.warning else [])),
+    )
+
+
+def clocked(stamps: Sequence[int], clock: Clock | None, where: str) -> tuple[bool, str]:
+    """Whether times are header stamps, and why: so they are where stamps run, unless the user wants another clock."""
+    fault = _fault(stamps)
+    if clock == "header" and fault:
+        raise BagError(f"{where}: header stamps {fault}, allowed with --clock header: stamps that never fall")
+    if clock == "receipt" or (clock is None and fault):
+        return False, "times of receipt" + (f", for header stamps {fault}" if fault and clock is None else "")
+    return True, "times of header stamps"
+
+
+def _fault(stamps: Sequence[int]) -> str | None:
+    """Why stamps tell no time; None where they do."""
+    if not any(stamps):
+        return "are zero"
+    if len(stamps) > 1 and len(set(stamps)) == 1:
+        return "stand still"
+    for i, (before, after) in enumerate(pairwise(stamps), start=2):
+        if after < before:
+            return f"fall by {(before - after) * 1e-9:.3g} s at pose {i}"
+    return None
