@@ -100,7 +100,7 @@ def _import(options: argparse.Namespace) -> int:
 
     reading = Reading(
         format=options.format, columns=dict(options.columns), time_unit=options.time_unit, where=dict(options.where),
-        concatenate=options.concatenate, times=options.times, topic=options.from_topic,
+        concatenate=options.concatenate, times=options.times, from_topic=options.from_topic,
         tf=tuple(options.tf) if options.tf else None, clock=options.clock,
     )  # fmt: skip
     changes = Changes(

@@ -11,8 +11,7 @@ from ...errors import BagError
 from .. import cdr
 from ..message import Topic
 from ..reader import BagReader, absolute
-
-ROS1_MAGIC = b"#ROSBAG V"
+from ..sources import ROS1_MAGIC
 
 
 class Arrival(NamedTuple):

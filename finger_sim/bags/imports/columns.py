@@ -25,7 +25,7 @@ def read_columns(source: Path, layout: Layout, reading: Reading) -> Recorded:
     names = list(layout.names)
     for name in [*reading.where, *([reading.concatenate] if reading.concatenate else [])]:
         if name not in names:
-            raise BagError(f"{source}: no column {name!r}; its columns have {'other' if names else 'no'} names")
+            raise BagError(f"{source}: no column {name!r}; found {', '.join(names) or 'none with a name'}")
     where = {names.index(name): text for name, text in reading.where.items()}
     width = len(names) or (len(layout.rows[0].cells) if layout.rows else 0)
     numbers: dict[str, list[float]] = {name: [] for name in layout.used if name != "t"}

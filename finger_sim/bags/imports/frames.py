@@ -14,7 +14,7 @@ from ...errors import BagError
 from .arrivals import Bag
 from .formats import Clock
 from .recorded import Recorded
-from .topics import TRANSFORM, TRANSFORMS, Sample, clocked, sample
+from .samples import TRANSFORM, TRANSFORMS, Sample, clocked, sample
 from .turns import between, product, turned, units
 
 STATIC = "/tf_static"

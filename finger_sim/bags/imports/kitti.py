@@ -44,8 +44,8 @@ def read_kitti(source: Path, rows: Sequence[Row], reading: Reading) -> Recorded:
     off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     off[np.linalg.det(turns) < 0.0] = math.inf
     if off.max() > NO_ROTATION:
-        line = rows[int((off > NO_ROTATION).argmax())].line
-        raise BagError(f"{source}:{line}: its first three columns are no rotation, allowed: {FORMATS['kitti']}")
+        first = rows[int((off > NO_ROTATION).argmax())].line
+        raise BagError(f"{source}:{first}: its first three columns are no rotation, allowed: {FORMATS['kitti']}")
     unit = reading.time_unit or "s"
     return Recorded(
         format=f"KITTI, times of {reading.times}",

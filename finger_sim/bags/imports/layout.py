@@ -117,9 +117,6 @@ def _by_names(source: Path, header: Row, rows: Sequence[Row], reading: Reading) 
     if "t" not in used:
         advice = f"allowed: t [s] and any of {', '.join(DEFAULTS)}; say which is which with --columns t=NAME x=NAME"
         raise BagError(f"{place}: got columns {found}, {advice}; {expected()}")
-    for name in [*reading.where, *([reading.concatenate] if reading.concatenate else [])]:
-        if name not in names:
-            raise BagError(f"{place}: no column {name!r}; found {found}")
     lower = [name.lower() for name in names]
     euroc = any(name.startswith("p_rs_r_") for name in lower)
     tum = lower == ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]

@@ -23,6 +23,8 @@ from .topics import read_bag
 from .turns import between, parsed_turn, product
 
 _SQLITE = b"SQLite format 3\0"
+PAD_DOWN = "--set qx=0.7071 --set qw=0.7071"
+"""What lays the pad of a finger of the identity orientation on the table."""
 MOST_POSES = 10_000_000
 """Poses that resampling makes at most: 2.7 hours at 1 kHz, a gigabyte."""
 
@@ -99,7 +101,8 @@ def import_poses(
         try:
             checked_pose(Pose(tuple(p), tuple(q)))
         except SceneError as error:
-            raise BagError(f"{place}: {error}") from None
+            advice = "; --scale or --offset may bring it near" if error.key == "position" else ""
+            raise BagError(f"{place}: {error}{advice}") from None
     if changes.resample is not None:
         course = _resampled(course, changes.resample)
     times = [START + int(time) for time in course.time]
@@ -127,7 +130,7 @@ def _read(source: Path, reading: Reading) -> Recorded:
         return read_bag(source, reading)
     if is_bag:
         raise BagError(f"{source}: is a bag, not {FORMATS[reading.format or 'csv']}")
-    for option, given in (("--from-topic", reading.topic), ("--tf", reading.tf), ("--clock", reading.clock)):
+    for option, given in (("--from-topic", reading.from_topic), ("--tf", reading.tf), ("--clock", reading.clock)):
         if given:
             raise BagError(f"{source}: is no bag; {option} is for bags: {FORMATS['bag']}")
     return read_text(source, reading)
@@ -170,6 +173,8 @@ def _changed(recorded: Recorded, changes: Changes) -> tuple[Course, list[str]]:
     missing = [name for name in recorded.missing if name not in changes.constants]
     if missing:
         notes.append("not in the file: " + ", ".join(missing) + ", taken as 0" + (", qw as 1" * ("qw" in missing)))
+    if set(ORIENTATION) <= set(missing) and changes.tool is None:
+        notes.append(f"the finger lies on its side; {PAD_DOWN} lays its pad on the table")
     return Course(np.array(recorded.time, dtype=np.int64), position, orientation), notes
 
 

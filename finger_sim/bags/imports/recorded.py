@@ -26,7 +26,7 @@ class Reading:
     concatenate : of text with columns: column that numbers repeats in which t starts anew; they are played one after
                   another
     times       : of KITTI poses: a file with one time a line [s]
-    topic       : of a bag: the topic to read
+    from_topic  : of a bag: the topic to read
     tf          : of a bag: parent and child frame; the child's pose in the parent follows from its transforms
     clock       : of a bag: "header" (when a pose was sampled) or "receipt" (when it was recorded)
     """
@@ -37,7 +37,7 @@ class Reading:
     where: Mapping[str, str] = field(default_factory=dict)
     concatenate: str | None = None
     times: Path | None = None
-    topic: str | None = None
+    from_topic: str | None = None
     tf: tuple[str, str] | None = None
     clock: Clock | None = None
 
