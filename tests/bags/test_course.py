@@ -23,11 +23,11 @@ def straight(seconds: NDArray[np.float64], x: NDArray[np.float64], height: float
     return Course(np.round(seconds * 1e9).astype(np.int64), position, np.tile(FLAT, (len(x), 1)))
 
 
-def pulp() -> float:
-    """How far the shipped finger reaches below its frame with the nail up [m]."""
+def pulp(axis: int = 1) -> float:
+    """How far what is soft of the shipped finger reaches below its frame with the nail up, or another axis [m]."""
     mesh = TetMesh.load(shipped("config") / "meshes" / "finger.vtu")
     free = [i for i in range(len(mesh.points)) if i not in set(mesh.node_sets["bone"].tolist())]
-    return -float(mesh.points[free, 1].min())
+    return -float(mesh.points[free, axis].min())
 
 
 def test_figures_by_hand() -> None:
@@ -58,6 +58,9 @@ def test_depth_of_a_shipped_press() -> None:
     found = figures(Course(commands.receipt_ns, commands.position, commands.orientation))
     assert found.depth.value == pytest.approx(2e-3, abs=0.06e-3)
     assert pulp() == pytest.approx(7e-3, abs=0.5e-3)
+    tip_up = np.array([[0.0, -math.sqrt(0.5), 0.0, math.sqrt(0.5)]])  # the cut end, which follows the bone, is below
+    standing = figures(Course(np.zeros(1, dtype=np.int64), np.zeros((1, 3)), tip_up))
+    assert standing.depth.value == pytest.approx(pulp(0), abs=1e-12)
     assert not doubts(found)
 
 

@@ -30,6 +30,8 @@ POSE, POSES, TRANSFORM, ODOMETRY, TF, TWIST = (
 RECEIVED = 1_700_000_000_000_000_000
 QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
 """A turn by 90° about z: x becomes y."""
+ABOUT_X = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
+"""A turn by 90° about x: y becomes z."""
 Entry = tuple[int, str, str, Any]
 """When it was received [ms], topic, type, and what `Makes` makes the message of."""
 
@@ -182,11 +184,8 @@ def test_poses_that_are_none_are_left_out_and_said(tmp_path: Path) -> None:
 
 
 def frames(name: Path) -> Path:
-    """base → arm turned by 90° (static, received late), arm → hand moving by 1 m/s along x, world → base moving too."""
-    moving = [
-        (10 * k, "/tf", TF, (5.0 + 0.01 * k, "/arm", "/hand", (0.01 * k, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0)))
-        for k in range(5)
-    ]
+    """base → arm turned (static, received late), arm → hand turned and moving by 1 m/s, world → base moving too."""
+    moving = [(10 * k, "/tf", TF, (5.0 + 0.01 * k, "/arm", "/hand", (0.01 * k, 0.0, 0.5), ABOUT_X)) for k in range(5)]
     slow = [
         (15 + 20 * k, "/tf", TF, (5.005 + 0.02 * k, "world", "base", (0.0, 0.0, 0.2 * k), (0.0, 0.0, 0.0, 1.0)))
         for k in range(2)
@@ -202,10 +201,10 @@ def test_frames_are_followed_both_ways(tmp_path: Path, name: str) -> None:
     commands = taken(bag, tf=("base", "hand"))
     np.testing.assert_allclose(commands.receipt, 0.01 * np.arange(5), atol=1e-9)
     np.testing.assert_allclose(commands.position, [[1.0, 2.0 + 0.01 * k, 0.5] for k in range(5)], atol=1e-12)
-    np.testing.assert_allclose(commands.orientation, [QUARTER] * 5, atol=1e-12)
+    np.testing.assert_allclose(commands.orientation, [[0.5] * 4] * 5, atol=1e-12)  # x becomes y, y z, z x
     back = taken(bag, tf=("hand", "base"))
-    np.testing.assert_allclose(back.position, [[-2.0 - 0.01 * k, 1.0, -0.5] for k in range(5)], atol=1e-12)
-    np.testing.assert_allclose(back.orientation @ QUARTER, 0.0, atol=1e-12)
+    np.testing.assert_allclose(back.position, [[-2.0 - 0.01 * k, -0.5, -1.0] for k in range(5)], atol=1e-12)
+    np.testing.assert_allclose(back.orientation, [[-0.5, -0.5, -0.5, 0.5]] * 5, atol=1e-12)
     both = taken(bag, tf=("world", "hand"))
     heights = [0.55, 0.65]  # at 5.01 and 5.02 s, where world → base is known on either side
     np.testing.assert_allclose(both.position, [[1.0, 2.01, heights[0]], [1.0, 2.02, heights[1]]], atol=1e-9)

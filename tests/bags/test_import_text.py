@@ -323,7 +323,7 @@ def test_device_axes_become_ours(tmp_path: Path) -> None:
 def test_resampling_draws_lines_and_arcs(tmp_path: Path) -> None:
     """A turn by 90° about z, signs flipped, and a line, at 4 Hz: angles and places by the rule of three."""
     half = math.sqrt(0.5)
-    text = f"t,x,qz,qw\n0,0,0,1\n1,2,{-half},{-half}\n1,4,{half},{half}\n1.6,10,{half},{half}\n"
+    text = f"t,x,qz,qw\n0,0,0,1\n1,2,{half},{half}\n1,4,{-half},{-half}\n1.6,10,{half},{half}\n"
     made = imported(tmp_path, text, resample=4.0)
     t, position, orientation = poses(made)
     np.testing.assert_allclose(t, np.arange(7) / 4.0, atol=1e-12)
