@@ -206,7 +206,9 @@ ECHO = (
         ("timestamp tx ty tz qx qy qz qw\n" + TUM_ROWS, "TUM", {}),
         (EUROC_HEAD + EUROC_ROWS, "EuRoC/ASL", {}),
         (EUROC_HEAD.replace(" [ns]", "") + EUROC_ROWS, "EuRoC/ASL", {}),
-        (EUROC_ROWS, "EuRoC", {"format": "euroc"}),
+        (EUROC_ROWS, "EuRoC/ASL", {"format": "euroc"}),
+        ("#time(ns),px,py,pz,qw,qx,qy,qz,vx,bwx\n" + EUROC_ROWS, "CSV", {}),
+        ("# timestamp(s) tx ty tz qx qy qz qw\n" + TUM_ROWS, "TUM", {}),
         (ECHO, "CSV of `rostopic echo -p`", {}),
         (
             "Take,hand\n,,Rigid Body\nFrame,Time,a,b,c,d,e,f,g\n"

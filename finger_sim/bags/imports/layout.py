@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -18,20 +19,32 @@ EUROC = ("t", *POSITION, "qw", "qx", "qy", "qz")
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Units of length that a header may name [m]."""
 
-_OF_ROS = ("pose.", "pose.pose.", "field.pose.", "field.pose.pose.", "transform.")
+_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
+"""A name with a unit in brackets of either kind."""
+_UNITS = {
+    "µs": "us", "sec": "s", "seconds": "s", "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns",
+    "meters": "m", "metres": "m", "centimeters": "cm", "centimetres": "cm", "millimeters": "mm", "millimetres": "mm",
+}  # fmt: skip
+"""Units in other words."""
+
+_OF_ROS = ("", "pose.", "pose.pose.")
 _NAMES = {
-    "t": ("time", "timestamp", "stamp", "%time"),
+    "t": ("t", "time", "timestamp", "stamp", "%time"),
     **{
         axis: (
-            *(form + axis for form in ("t", "t_", "p", "p_", "pos_", "position_", "position.", "p_rs_r_")),
+            *(
+                form + axis
+                for form in ("", "t", "t_", "p", "p_", "pos_", "position_", "p_rs_r_", "transform.translation.")
+            ),
             *(f"{prefix}position.{axis}" for prefix in _OF_ROS),
         )
         for axis in POSITION
     },
     **{
         name: (
-            *(form + name[1] for form in ("q_", "quat_", "q_rs_", "orientation_", "orientation.")),
+            *(form + name[1] for form in ("q", "q_", "quat_", "q_rs_", "orientation_")),
             *(f"{prefix}orientation.{name[1]}" for prefix in _OF_ROS),
+            f"transform.rotation.{name[1]}",
         )
         for name in ORIENTATION
     },
@@ -62,12 +75,12 @@ def find_layout(source: Path, comments: Sequence[Row], rows: Sequence[Row], read
     first = rows[0]
     if not numeric(first.cells):
         return _by_names(source, first, rows[1:], reading)
+    unit = reading.time_unit
+    if reading.format == "euroc" and len(first.cells) >= len(EUROC):
+        return _unnamed("EuRoC/ASL", EUROC, rows, unit or "ns")
     named = next((row for row in reversed(comments) if _names_columns(row.cells, len(first.cells))), None)
     if named is not None:
         return _by_names(source, named, rows, reading)
-    unit = reading.time_unit
-    if reading.format == "euroc" and len(first.cells) >= len(EUROC):
-        return _unnamed("EuRoC", EUROC, rows, unit or "ns")
     if reading.format in (None, "tum") and len(first.cells) == len(TUM):
         return _unnamed("TUM", TUM, rows, unit or "s")
     found = (
@@ -109,8 +122,7 @@ def _by_number(source: Path, rows: Sequence[Row], reading: Reading) -> Layout:
 
 def _by_names(source: Path, header: Row, rows: Sequence[Row], reading: Reading) -> Layout:
     """Columns by the names in a header, which may say units: `x [mm]`, `t [ns]`."""
-    names = [cell.partition("[")[0].strip() for cell in header.cells]
-    units = [cell.partition("[")[2].rstrip("] ").replace("µ", "u") for cell in header.cells]
+    names, units = zip(*(_parted(cell) for cell in header.cells), strict=True)
     place = f"{source}:{header.line}"
     used = {ours: i for ours in COLUMNS if (i := _find(place, ours, names, header.cells, reading)) is not None}
     found = ", ".join(header.cells)
@@ -144,7 +156,7 @@ def _check_ours(name: str) -> None:
         raise BagError(f"--columns: got column {name!r}, allowed: {', '.join(COLUMNS)}")
 
 
-def _find(place: str, ours: str, names: list[str], cells: list[str], reading: Reading) -> int | None:
+def _find(place: str, ours: str, names: Sequence[str], cells: list[str], reading: Reading) -> int | None:
     """Index of one of our columns, by what the user said, by our name, or by another usual name; or None."""
     for name in reading.columns:
         _check_ours(name)
@@ -157,7 +169,7 @@ def _find(place: str, ours: str, names: list[str], cells: list[str], reading: Re
             raise BagError(f"{place}: no column {asked!r} for {ours}; found {', '.join(cells)}")
     else:
         found = [i for i, name in enumerate(names) if name == ours]
-        found = found or [i for i, name in enumerate(names) if name.lower() in _NAMES[ours]]
+        found = found or [i for i, name in enumerate(names) if name.lower().removeprefix("field.") in _NAMES[ours]]
     if len(found) > 1:
         several = ", ".join(names[i] for i in found)
         unique = f"allowed: every name once; or choose by number: --columns {ours}={found[0] + 1}"
@@ -167,5 +179,10 @@ def _find(place: str, ours: str, names: list[str], cells: list[str], reading: Re
 
 def _names_columns(cells: list[str], count: int) -> bool:
     """Whether a comment names `count` columns, time among them."""
-    names = {cell.partition("[")[0].strip().lower() for cell in cells}
-    return len(cells) == count and not names.isdisjoint(("t", *_NAMES["t"]))
+    return len(cells) == count and any(_parted(cell)[0].lower() in _NAMES["t"] for cell in cells)
+
+
+def _parted(cell: str) -> tuple[str, str]:
+    """A column's name and its unit, which is empty where there is none: `x [mm]`, `time(ns)`."""
+    match = _UNIT.fullmatch(cell)
+    return (match[1], _UNITS.get(match[2].lower(), match[2])) if match else (cell, "")
