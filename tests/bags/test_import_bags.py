@@ -224,7 +224,9 @@ def test_ros1_elsewhere_names_what_converts(tmp_path: Path) -> None:
         BagReader(bag)
     assert f"a ROS 1 bag: `finger_sim import {bag} -o NAME` makes" in str(caught.value)
     assert f"`rosbags-convert --src {bag} --dst FOLDER`" in str(caught.value)
-    bag.write_bytes(bag.read_bytes()[:3000])
+    renamed = bag.rename(tmp_path / "hand.bag.orig")
+    assert len(taken(renamed)) == 3
+    bag.write_bytes(renamed.read_bytes()[:3000])
     assert "a ROS 1 bag that cannot be read: " in refusal(bag)
     (tmp_path / "empty.bag").write_bytes(b"#ROSBAG V1.2\n")
     assert "Bag version 102 is not supported" in refusal(tmp_path / "empty.bag")

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from ...errors import BagError
 from .. import cdr
 from ..message import Topic
 from ..reader import BagReader, absolute
 from ..sources import ROS1_MAGIC
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 
 class Arrival(NamedTuple):
@@ -85,23 +88,34 @@ class Ros1Bag:
         numbers: Counter[str] = Counter()
         with _reading(self.path) as reader:
             wanted = [each for each in reader.connections if absolute(each.topic) in topics]
+            store = _types_of(wanted)
             for connection, time, data in reader.messages(connections=wanted) if wanted else ():
                 name = absolute(connection.topic)
                 numbers[name] += 1
-                yield Arrival(name, numbers[name], time, reader.deserialize(data, connection.msgtype))
+                yield Arrival(name, numbers[name], time, store.deserialize_ros1(data, connection.msgtype))
+
+
+def _types_of(connections: Iterable[Any]) -> Typestore:
+    """The types of messages as their connections define them."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    types = [get_types_from_msg(each.msgdef.data, each.msgtype) for each in connections]
+    store.register({name: definition for each in types for name, definition in each.items()})
+    return store
 
 
 class _reading:
-    """An open AnyReader in a `with` block; what `rosbags` raises becomes BagError."""
+    """An open reader in a `with` block; what `rosbags` raises becomes BagError."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     def __enter__(self) -> Any:
-        from rosbags.highlevel import AnyReader
+        from rosbags.rosbag1 import Reader
 
         try:
-            self._reader = AnyReader([self._path])
+            self._reader = Reader(self._path)
             self._reader.open()
         except Exception as error:  # whatever the bytes make the library do
             raise self._broken(error) from None
