@@ -118,7 +118,7 @@ class _RosbagsSource:
 
 
 class _Reporting:
-    """Turns the errors of `rosbags` and sqlite3 into BagError."""
+    """Turns whatever broken bytes make `rosbags` and its databases raise into BagError."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -128,9 +128,5 @@ class _Reporting:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        import sqlite3
-
-        from rosbags.rosbag2 import ReaderError
-
-        if isinstance(error, ReaderError | sqlite3.Error | OSError | KeyError | TypeError | ValueError):
+        if isinstance(error, Exception) and not isinstance(error, BagError):
             raise BagError(f"{self.path}: cannot be read: {error}") from None

@@ -230,3 +230,14 @@ def test_ros1_elsewhere_names_what_converts(tmp_path: Path) -> None:
     assert "a ROS 1 bag that cannot be read: " in refusal(bag)
     (tmp_path / "empty.bag").write_bytes(b"#ROSBAG V1.2\n")
     assert "Bag version 102 is not supported" in refusal(tmp_path / "empty.bag")
+
+
+def test_a_damaged_database_is_no_traceback(tmp_path: Path) -> None:
+    """A row of a sqlite3 bag that claims a wrong length, found while it is read: BagError names the bag."""
+    made(tmp_path / "hand", *(entry for _ in range(200) for entry in course(POSE)))
+    database = next((tmp_path / "hand").glob("*.db3"))
+    data, size, leaf = bytearray(database.read_bytes()), 4096, 0x0D
+    page = next(at for at in range(len(data) // 2 // size * size, len(data), size) if data[at] == leaf)
+    data[page + int.from_bytes(data[page + 8 : page + 10])] = 0xF8
+    database.write_bytes(data)
+    assert "hand: cannot be read: database disk image is malformed" in refusal(tmp_path / "hand")
