@@ -121,6 +121,8 @@ def test_wrong_arguments_are_named(capsys, arguments, says):
         (["play", "commands", "--topic", "pose"], "found /command_pose"),
         (["import", "nowhere.csv", "-o", "bag"], "nowhere.csv"),
         (["import", "block.yaml", "-o", "bag"], "block.yaml"),
+        (["run", "block.yaml", "--bag", "hand.bag"], "`rosbags-convert --src hand.bag --dst FOLDER`"),
+        (["info", "hand.bag"], "a ROS 1 bag: `finger_sim import hand.bag -o NAME`"),
         (["info", "nowhere"], "press_slide"),
         (["info", "notes.txt"], "notes.txt"),
         (["info", "bad.yaml"], "dt: got -1"),
@@ -135,6 +137,7 @@ def test_wrong_arguments_are_named(capsys, arguments, says):
 def test_mistakes_are_one_clear_line(capsys, here, arguments, says):
     """Files that are not there, of the wrong kind, or in the way: no traceback, exit code 2."""
     Path("notes.txt").write_text("no mesh")
+    Path("hand.bag").write_bytes(b"#ROSBAG V2.0\n")
     Path("bad.yaml").write_text("mesh: {beam: {}}\ndt: -1\n")
     Path("empty").mkdir(exist_ok=True)
     assert says in fails(capsys, *arguments)
