@@ -19,13 +19,10 @@ from ..console import make_files
 from ..physics.rotations import matrix, normalised
 from ..scene.mesh import TetMesh
 from ..scene.resources import shipped
-from .imports import ImportSummary, import_csv
 from .reader import START, write_commands
 
 __all__ = [
-    "ImportSummary",
     "Stroke",
-    "import_csv",
     "make_bags",
     "minimum_jerk",
     "touch_height",
