@@ -22,7 +22,7 @@ from finger_sim.bags import cdr
 from finger_sim.bags.layout import POINT_NAMES, express_wrench, node_strain, pack_points, wrench_frame_id
 from finger_sim.bags.reader import BagReader, BagWriter, read_commands, write_commands
 from finger_sim.errors import BagError
-from finger_sim.scene import Pose, Scene, place
+from finger_sim.scene import Coupling, Pose, Scene, place
 from finger_sim.simulation import replay
 
 START = 1_700_000_000_123_456_789
@@ -53,11 +53,17 @@ class FakeSimulator:
         self.strain_ratio = np.array([0.75])
         self.contact_forces = np.arange(12.0).reshape(4, 3)
 
+    set_down_by = 0.0
+
     def reset(self, pose: Pose, plane: Pose | None = None) -> None:
         self.resets.append(pose)
         self.laid = plane
 
-    def step(self, pose: Pose, plane: Pose | None = None) -> Any:
+    def hear(self, pose: Pose, received: float) -> None:
+        self.newest = pose
+
+    def step(self, pose: Pose | None, plane: Pose | None = None, now: float | None = None) -> Any:
+        pose = pose or self.newest
         self.commands.append(pose)
         self.planes.append(plane)
         self.positions = place(self.mesh.points, pose) + np.array([0.0, 0.0, 0.5])
@@ -74,7 +80,7 @@ class FakeSimulator:
 
 
 def scene(dt: float) -> Any:
-    return SimpleNamespace(dt=dt, plane=None)
+    return SimpleNamespace(dt=dt, plane=None, coupling=Coupling())
 
 
 def commands(path: Path, receipts: list[int]) -> Path:
@@ -207,7 +213,7 @@ def test_the_plane_goes_where_it_was_told(tmp_path: Path) -> None:
     ms = 1_000_000
     bag = plane_poses(tmp_path / "in", [-50 * ms, -1, 1, 3 * ms, 3 * ms + 5, 3 * ms + 7, 20 * ms, 90 * ms], bad=(6,))
     fake = FakeSimulator()
-    with_plane = SimpleNamespace(dt=1e-3, plane=object())
+    with_plane = SimpleNamespace(dt=1e-3, plane=object(), coupling=Coupling())
     summary = replay.run(with_plane, bag, tmp_path / "out", simulator=fake)  # type: ignore[arg-type]
     told = {k: plane.position[0] for k, plane in enumerate(fake.planes) if plane is not None}
     assert fake.laid is not None

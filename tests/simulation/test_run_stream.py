@@ -13,7 +13,7 @@ import pytest
 from finger_sim.bags import cdr
 from finger_sim.bags.reader import BagReader, BagWriter, write_commands
 from finger_sim.errors import BagError
-from finger_sim.scene import Pose
+from finger_sim.scene import Coupling, Pose
 from finger_sim.simulation.costs import Costs
 from finger_sim.simulation.replay import Replay, Selection, run
 
@@ -34,11 +34,17 @@ class Stub:
         self.positions = self.contact_forces = self.mesh.points
         self.strain_ratio = np.zeros(1)
 
+    set_down_by = 0.0
+
+    def hear(self, pose: Pose, received: float) -> None:
+        self.newest = pose
+
     def reset(self, pose: Pose, plane: Pose | None = None) -> None:
         self.placed = pose.position[0]
         self.laid = None if plane is None else plane.position[0]
 
-    def step(self, pose: Pose, plane: Pose | None = None) -> Any:
+    def step(self, pose: Pose | None, plane: Pose | None = None, now: float | None = None) -> Any:
+        pose = pose or self.newest
         self.note(pose.position[0], None if plane is None else plane.position[0])
         wrench = np.array([pose.position[0], 0.0, 0.0, 0.0, 0.0, 0.0])
         return SimpleNamespace(
@@ -57,7 +63,7 @@ class Forgetful(Stub):
 
 
 def scene(dt: float = 1e-3, plane: bool = True) -> Any:
-    return SimpleNamespace(dt=dt, plane=object() if plane else None)
+    return SimpleNamespace(dt=dt, plane=object() if plane else None, coupling=Coupling())
 
 
 def bag_of(path: Path, commands: dict[int, float], plane: dict[int, float] | None = None) -> Path:
@@ -213,10 +219,10 @@ class Breaks(Stub):
         super().__init__()
         self.k, self.error = k, error
 
-    def step(self, pose: Pose, plane: Pose | None = None) -> Any:
+    def step(self, pose: Pose | None, plane: Pose | None = None, now: float | None = None) -> Any:
         if len(self.told) == self.k:
             raise self.error
-        return super().step(pose, plane)
+        return super().step(pose, plane, now)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("torn"), MemoryError(), KeyboardInterrupt()])
