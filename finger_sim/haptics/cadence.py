@@ -48,8 +48,9 @@ class Cadence:
         self._waits, self._gaps = _Extremes(), _Extremes()
         self._mean_wait = 0.0
         self._at = at
-        self._velocities: tuple[Numbers, Numbers] | None = None
-        self._unrest_received = self._unrest_even = 0.0
+        self._way: Numbers | None = None  # from the command before to the last
+        self._by_receipt = self._by_step = 0.0  # one over the time that it took [1/s]
+        self._unrest = {"receipt": 0.0, "even": 0.0}  # mean change of the hand's velocity by either time
 
     @property
     def known(self) -> bool:
@@ -77,7 +78,7 @@ class Cadence:
         step = self._fit(received)
         if at != self._at:
             self._compare(gap, step, at)
-        even, uneven = self._unrest_even**4, self._unrest_received**4
+        even, uneven = self._unrest["even"] ** 4, self._unrest["receipt"] ** 4
         share = uneven / (uneven + even) if self.count > BEGINNING and uneven + even > 0.0 else 0.0
         self.time = max(received + share * (self._even - received), self.time + 1e-9)
         return self.time
@@ -99,16 +100,25 @@ class Cadence:
     def _compare(self, gap: float, step: float, at: Numbers) -> None:
         """How much the hand's velocity changes by receipt, and by even times."""
         shortest = max(0.05 * self.interval, 1e-6)
-        way = [b - a for a, b in zip(self._at, at, strict=True)]
-        self._at = at
-        way[3:] = [2.0 * LEVER * c for c in way[3:]]
-        x, y = (1.0 / max(time, shortest) for time in (gap, step))
-        by_receipt, by_step = tuple(x * c for c in way), tuple(y * c for c in way)
-        if self._velocities is not None:
-            before = self._velocities
-            self._unrest_received += (math.dist(by_receipt, before[0]) - self._unrest_received) / LATELY
-            self._unrest_even += (math.dist(by_step, before[1]) - self._unrest_even) / LATELY
-        self._velocities = by_receipt, by_step  # type: ignore[assignment]
+        by_receipt, by_step = 1.0 / max(gap, shortest), 1.0 / max(step, shortest)
+        a, b, c, d, e, f, g = self._at
+        h, i, j, k, m, n, o = at
+        turn = 2.0 * LEVER
+        way = (h - a, i - b, j - c, turn * (k - d), turn * (m - e), turn * (n - f), turn * (o - g))
+        before, last_by_receipt, last_by_step = self._way, self._by_receipt, self._by_step
+        self._at, self._way, self._by_receipt, self._by_step = at, way, by_receipt, by_step
+        if before is None:
+            return
+        square, old, across = _dot(way, way), _dot(before, before), _dot(before, way)
+        for name, new, last in (("receipt", by_receipt, last_by_receipt), ("even", by_step, last_by_step)):
+            change = math.sqrt(max(0.0, new * new * square - 2.0 * new * last * across + last * last * old))
+            self._unrest[name] += (change - self._unrest[name]) / LATELY
+
+
+def _dot(u: Numbers, v: Numbers) -> float:
+    a, b, c, d, e, f, g = u
+    h, i, j, k, m, n, o = v
+    return a * h + b * i + c * j + d * k + e * m + f * n + g * o
 
 
 class _Extremes:

@@ -91,7 +91,8 @@ class Follower:
             self.pose = self._prediction.advance(path.last, end - self._offset, dt)
         elif self.pose is not path.last or path.end + self._window > begin:
             self._widen(begin, dt, following)
-            self.pose = path.mean(end - self._window, end)
+            at_once = self._window == 0.0 and path.end <= end
+            self.pose = path.last if at_once else path.mean(end - self._window, end)
         return self.pose
 
     def delay(self, following: Following) -> float:
@@ -155,5 +156,6 @@ class Follower:
         if cadence is not None and following != "hold":
             wait = max(0.0, cadence.longest_wait - dt) if cadence.interval > 0.0 else self._late
             wanted = min(wait + cadence.spread, LONGEST_WINDOW) if wait > EXACT else 0.0
-        most = math.inf if self._path.standing(begin - wanted, begin) else WINDOW_SLEW * dt
-        self._window += min(max(wanted - self._window, -most), most)
+        if wanted != self._window:
+            most = math.inf if self._path.standing(begin - wanted, begin) else WINDOW_SLEW * dt
+            self._window += min(max(wanted - self._window, -most), most)

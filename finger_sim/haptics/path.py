@@ -17,6 +17,8 @@ Numbers = tuple[float, float, float, float, float, float, float]
 FINE_TURN = 0.2
 """Turns above this are split [rad]: straight lines between the quaternions are then slerp to 1e-4 rad."""
 
+_FINE = math.cos(0.5 * FINE_TURN)
+
 
 class _Knot(NamedTuple):
     time: float
@@ -57,8 +59,9 @@ class Path:
             knots.append(_Knot(time, last.at, last.pose))
             return
         at = numbers(pose, last.at)
-        start, end = last.pose.orientation, pose.orientation
-        parts = math.ceil(angle(start, end) / FINE_TURN) if start != end else 1
+        parts = 1
+        if sum(a * b for a, b in zip(at[3:], last.at[3:], strict=True)) < _FINE:
+            parts = math.ceil(angle(last.pose.orientation, pose.orientation) / FINE_TURN)
         for i in range(1, parts):
             share = i / parts
             x, y, z, *_ = _mix(last.at, at, share)
@@ -94,12 +97,18 @@ class Path:
         knots = self._around(begin, end)
         if begin == end:
             return _pose(_at(knots[0], knots[-1], end))
-        total = [0.0] * 7
-        for a, b in pairwise(knots):
-            low, high = max(begin, a.time), min(end, b.time)
-            half = 0.5 * (high - low) / (end - begin)
-            total = [t + half * (u + v) for t, u, v in zip(total, _at(a, b, low), _at(a, b, high), strict=True)]
-        return _pose(total)
+        weights = [0.0] * len(knots)  # a straight piece counts by its ends, as far as it lies in the window
+        for i, (knot, after) in enumerate(pairwise(knots)):
+            low, high = max(begin, knot.time), min(end, after.time)
+            share = (high - low) / (end - begin)
+            later = 0.5 * share * (low + high - 2.0 * knot.time) / (after.time - knot.time)
+            weights[i] += share - later
+            weights[i + 1] += later
+        x = y = z = p = q = r = s = 0.0
+        for weight, (_, (a, b, c, d, e, f, g), _) in zip(weights, knots, strict=True):
+            x, y, z = x + weight * a, y + weight * b, z + weight * c
+            p, q, r, s = p + weight * d, q + weight * e, r + weight * f, s + weight * g
+        return Pose((x, y, z), normalised((p, q, r, s)))
 
     def _around(self, begin: float, end: float) -> list[_Knot]:
         """The knots from the last up to `begin` to the first from `end` on; before and after all, it stands."""
