@@ -10,8 +10,8 @@ from ..arrays import Floats
 from ..scene import Coupling
 from .coupling import device_wrench
 
-NONE: Floats = np.zeros(6)
-NONE.setflags(write=False)
+NO_WRENCH: Floats = np.zeros(6)
+NO_WRENCH.setflags(write=False)
 
 
 class Rendering:
@@ -31,7 +31,7 @@ class Rendering:
     def silence(self) -> Floats:
         """Nothing (6,); the wrench comes in anew after it."""
         self._part = 0.0
-        return NONE
+        return NO_WRENCH
 
     def watch(self, age: float) -> bool:
         """Whether a command of an age [s] is recent; where it is not, the wrench comes in anew after it."""
@@ -43,7 +43,7 @@ class Rendering:
     def render(self, wrench: Floats, coupling: Coupling, dt: float) -> Floats:
         """The wrench (6,) [N, N m] to send of a step's `device_wrench`; nothing where a number is not finite."""
         if self.stale:
-            return NONE
+            return NO_WRENCH
         self._part = min(1.0, self._part + dt / self.ramp) if self.ramp > 0.0 else 1.0
         scaled = device_wrench(coupling, self.scale * self._part * wrench)
-        return scaled if math.isfinite(sum(scaled.tolist())) else NONE
+        return scaled if math.isfinite(sum(scaled.tolist())) else NO_WRENCH

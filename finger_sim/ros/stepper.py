@@ -13,7 +13,7 @@ from ..arrays import Floats
 from ..haptics.budget import Budget, Rung, usable
 from ..haptics.coupling import displacement
 from ..haptics.passivity import NONE, Port
-from ..haptics.rendering import Rendering
+from ..haptics.rendering import NO_WRENCH, Rendering
 from ..physics.step import Status
 from ..scene import Pose, Scene
 from ..simulation.result import StepResult
@@ -157,7 +157,7 @@ class Stepper:
         out = self.sim.step(command, plane, now=None if command else 1e-9 * (now - self._zero))
         if self.budget is not None and self.budget.spent(time.perf_counter() - begin):
             self.sim.solve_with(self.rungs[self.budget.rung].solver)
-        device = rendering.silence()
+        device = NO_WRENCH
         if newest is not None:
             device = self._passive(
                 rendering.render(out.device_wrench, self.scene.coupling, self.scene.dt), newest, options
