@@ -7,13 +7,14 @@ Times are integer nanoseconds, lengths [m], forces [N], torques [N·m]; quaterni
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BagError
+from ..scene import Pose
 from .layout import FLOAT32, POINT_FIELDS, POINT_STEP
 
 if TYPE_CHECKING:
@@ -23,6 +24,13 @@ POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 MESH = "shape_msgs/msg/Mesh"
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+PARAMETER_EVENT = "rcl_interfaces/msg/ParameterEvent"
+LOG = "rcl_interfaces/msg/Log"
+EMPTY = "std_msgs/msg/Empty"
+
+STAMPS_END = 2**31 * 1_000_000_000
+"""Times from here on [ns] cannot be stamps of messages: their seconds have 32 bits."""
 
 Vector = Sequence[float] | NDArray[np.float64]
 
@@ -91,6 +99,30 @@ def mesh(vertices: NDArray[np.float64], triangles: NDArray[np.integer[Any]]) -> 
     faces = [_new("shape_msgs/msg/MeshTriangle", face) for face in np.asarray(triangles, dtype=np.uint32)]
     points = [_new("geometry_msgs/msg/Point", float(x), float(y), float(z)) for x, y, z in vertices]
     return _serialize(_new(MESH, faces, points), MESH)
+
+
+def transforms(stamp: int, frame_id: str, poses: Mapping[str, Pose]) -> bytes:
+    """TFMessage: where frames are in `frame_id`, by their names."""
+    vector, quaternion = "geometry_msgs/msg/Vector3", "geometry_msgs/msg/Quaternion"
+    message = [
+        _new(
+            "geometry_msgs/msg/TransformStamped",
+            _header(stamp, frame_id),
+            name,
+            _new(
+                "geometry_msgs/msg/Transform",
+                _new(vector, *(float(v) for v in pose.position)),
+                _new(quaternion, *(float(v) for v in pose.orientation)),
+            ),
+        )
+        for name, pose in poses.items()
+    ]
+    return _serialize(_new(TF_MESSAGE, message), TF_MESSAGE)
+
+
+def empty() -> bytes:
+    """Empty: nothing but that it came."""
+    return _serialize(_new(EMPTY), EMPTY)
 
 
 def _header(stamp: int, frame_id: str) -> Any:

@@ -114,13 +114,16 @@ class Recorder:
         if self.active:
             self._hear()
 
-    def close(self, timeout: float = TIMEOUT) -> None:
-        """Writes what waits and finishes the bag; `error` says why when that failed."""
+    def close(self, timeout: float = TIMEOUT, origin: Mapping[str, str] | None = None) -> None:
+        """Writes what waits and finishes the bag; `error` says why when that failed.
+
+        origin : what is known only now of what made it (`bags.origin`)
+        """
         if not self.active:
             return
         with self._lock:
             self._closing = True
-        self._pipe.order(None, timeout)
+        self._pipe.order({"origin": dict(origin or {})}, timeout)
         self._await("closed", timeout)
 
     def summary(self) -> str:

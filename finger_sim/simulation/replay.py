@@ -11,28 +11,33 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
+from ..bags import cdr
+from ..bags.changes import Change, before_their_steps, changed, changes_in, with_values
 from ..bags.excerpt import Newest, Received, Tally, commands_in, plane_poses_in
 from ..bags.interrupts import deferred
+from ..bags.layout import WRENCH_FRAMES
+from ..bags.origin import described, differences, mesh_hash, origin_of, read_origin, recorded_scene, version
 from ..bags.reader import LONGEST_SPAN_SECONDS, BagReader, BagWriter, require_absent
 from ..errors import BagError, FingerSimError
 from .costs import Costs
-from .replay_output import Copies, Output
+from .replay_output import Changes, Copies, Output
 from .summary import Summary
 
 if TYPE_CHECKING:
     from ..scene import Scene
     from .simulator import Simulator
 
-STAMPS_END = 2**31 * 1_000_000_000
-"""Times from here on [ns] cannot be stamps of messages: their seconds have 32 bits."""
-
 StepsDone = Callable[[int, int], None]
 """Called with the steps done and all there are."""
+
+
+Mode = Literal["free", "triggered"]
+MODES: tuple[Mode, ...] = get_args(Mode)
 
 
 @dataclass(frozen=True)
@@ -48,25 +53,49 @@ class Selection:
     """Of the commands; see `bags.reader.read_commands`."""
     plane_topic: str | None = None
     """Of the plane's poses; see `bags.reader.plane_poses_of`."""
-    mode: Literal["free", "triggered"] = "free"
-    """As the node's: steps on a clock, or one step for each command, stamped with its receipt."""
+    mode: Mode | None = None
+    """As the node's: steps on a clock, or one step for each command, stamped with its receipt; None: as the bag was
+    made where its own scene is simulated, else free."""
     start: float = 0.0
     """Beginning of the window, since the first good command [s]."""
     duration: float | None = None
     """Length of the window [s]; None: to the end of the bag."""
 
 
+DEFAULTS: Mapping[str, Any] = {
+    "mode": "free",
+    "world_frame": "world",
+    "finger_frame": "finger",
+    "wrench_frame": "world_aligned",
+}
+"""The node's parameters that a run follows too, and says that it did; values where no recording gives others."""
+
+
 class Replay:
     """A bag to be simulated, read once from end to end: a mistake shows before kernels compile.
 
-    Raises BagError for a bag that cannot be read, and for a selection of what is not in it.
+    scene   : what is simulated; None: what the bag was made with, as it was when the first command came, with the
+              node's parameters and all that was changed live. With a scene given, only resets are taken of these
+    options : the node's parameters by name, plain values, at the first step; where a scene is given, DEFAULTS
+    changes : what is changed from then on, in order; see `live_changes`
+
+    Raises BagError for a bag that cannot be read, for a selection of what is not in it, and where the scene or the mesh
+    that it was made with cannot be had.
     """
 
-    def __init__(self, scene: Scene, bag: str | Path, selection: Selection | None = None) -> None:
-        self.scene = scene
+    def __init__(self, scene: Scene | None, bag: str | Path, selection: Selection | None = None) -> None:
         self.selection = selection or Selection()
         self.reader = BagReader(bag)
+        self.as_recorded = scene is None
+        self.origin = read_origin(self.reader)
+        """What the bag was made with; None where it does not say."""
+        self.scene = recorded_scene(self.reader, self.origin) if scene is None else scene
+        self.options = self._options()
         self.commands, self.tally = commands_in(self.reader, self.selection.topic)
+        self.options["world_frame"] = self.commands.frame_id or DEFAULTS["world_frame"]
+        changes = changes_in(self.reader) if self.origin is not None else []
+        if not self._free:
+            changes = before_their_steps(self.reader, self.commands.poses(), changes)
         self.plane = plane_poses_in(self.reader, self.commands, self.selection.plane_topic)
         self.plane_tally = self._plane_tally()
         begin, end = self._window()
@@ -77,14 +106,48 @@ class Replay:
             self.plane_tally = self._plane_tally()
         self.start = self.tally.first
         """Log time from which simulated time counts [ns]."""
-        self.steps = _steps(self._last() - self.start, scene.dt) if self._free else self.tally.good
+        self._take(changes)
+        self.steps = _steps(self._last() - self.start, self.scene.dt) if self._free else self.tally.good
         """Steps to be made."""
-        if self._last() + _nanoseconds(1, scene.dt) >= STAMPS_END:
+        if self._last() + _nanoseconds(1, self.scene.dt) >= cdr.STAMPS_END:
             where = f"{self.reader.path}: topic {self.commands.topic}"
             allowed = "allowed: below 2^31 s, as messages are stamped"
             raise BagError(f"{where}: got a log time of {self._last() * 1e-9:.9g} s, {allowed}")
         self.remains: str | None = None
         """What is left of a run that did not come to its end."""
+
+    def _options(self) -> dict[str, Any]:
+        """The node's parameters at the bag's beginning. Raises BagError for one that no node has."""
+        options = {**DEFAULTS, **(self.origin.options if self.origin is not None and self.as_recorded else {})}
+        for name, known in (("mode", MODES), ("wrench_frame", WRENCH_FRAMES)):
+            if options[name] not in known:
+                got = f"{name}: got {options[name]!r}, allowed: {', '.join(known)}"
+                raise BagError(f"{self.reader.path}: what it says of its making: options: {got}")
+        return options if self.selection.mode is None else {**options, "mode": self.selection.mode}
+
+    @property
+    def live_changes(self) -> list[tuple[float, Mapping[str, Any], Mapping[str, Any]]]:
+        """Time since the first command [s], changes of the scene and changes of the node's parameters, in order."""
+        return [(1e-9 * (change.time - self.start), change.scene, change.options) for change in self.changes]
+
+    def _take(self, changes: list[Change]) -> None:
+        """What was changed by the first step is in scene and options then; what comes later is to be changed.
+
+        Raises BagError for what the scene refuses.
+        """
+        before = [change for change in changes if change.time <= self.start]
+        later = [change for change in changes if change.time > self.start]
+        self._set_before = [change for change in before if change.scene]
+        if self.as_recorded:
+            self.scene = changed(self.reader, self.scene, before)
+            changed(self.reader, self.scene, later)
+            for change in before:
+                self.options.update(change.options)
+            self.changes = later
+        else:
+            self.changes = [change for change in later if change.reset]
+        self.left_out = len(later) - len(self.changes)
+        """Live changes that are not followed, as a scene was given."""
 
     def run(self, out: str | Path, progress: StepsDone | None = None, *, simulator: Simulator | None = None) -> Summary:
         """Simulates, and writes what the node would publish to the new bag `out`; see `run` of this module."""
@@ -93,9 +156,11 @@ class Replay:
             from .simulator import Simulator
 
             simulator = Simulator(self.scene)
-        summary = self._summary(out)
+        summary = self._summary(out, simulator)
+        taken = {name: self.options[name] for name in DEFAULTS}
+        origin = origin_of("run", self.scene, simulator.mesh, taken)
         with deferred() as interrupt:
-            recording = BagWriter(out)
+            recording = BagWriter(out, origin=origin.words())
             try:
                 self._simulate(simulator, recording, summary, progress, interrupt)
                 recording.close()
@@ -113,17 +178,19 @@ class Replay:
         interrupt: Callable[[], None],
     ) -> None:
         """Makes all steps, and records them beside the poses that they follow."""
-        output = Output(recording, self.start, self.commands.frame_id or "world")
+        output = Output(recording, self.start, self.options)
         copies = [Copies(self.commands, recording, "command_pose")]
         if self.plane is not None:
             copies.append(Copies(self.plane, recording, "plane_pose"))
-        output.topology(simulator)
+        changes = Changes(self.changes, recording)
         plane = Newest(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
         before = plane.received_by(self.start)
         held = next(self.commands.poses()).pose
         simulator.reset(held, before and before.pose)
+        output.begin(simulator)
         costs = Costs()
         for moment in self._moments():
+            changes.up_to(self.start + moment.begin, simulator)
             place = plane.received_by(self.start + moment.begin)
             held = moment.command.pose if moment.command is not None else held
             clock = time.perf_counter()
@@ -143,7 +210,7 @@ class Replay:
 
     @property
     def _free(self) -> bool:
-        return self.selection.mode == "free"
+        return bool(self.options["mode"] == "free")
 
     def _moments(self) -> Iterator[_Moment]:
         """When steps begin and end, with the command that came for each."""
@@ -190,7 +257,7 @@ class Replay:
             raise BagError(f"{self.reader.path}: duration: got {duration:.9g} s from {start:.9g} s on, {allowed}")
         return begin if start else None, end
 
-    def _summary(self, out: str | Path) -> Summary:
+    def _summary(self, out: str | Path, simulator: Simulator) -> Summary:
         """What is known before the first step."""
         tally, plane = self.tally, self.plane_tally
         summary = Summary(Path(out), self.commands.topic, tally.good, tally.refused, self.reader.warning)
@@ -198,7 +265,23 @@ class Replay:
             summary.plane_topic = self.plane.topic
             summary.plane_poses = plane.good if self.scene.plane is not None else 0
             summary.plane_refused = plane.refused + plane.good - summary.plane_poses
+        summary.resets = sum(change.reset for change in self.changes)
+        summary.live_changes, summary.left_out = len(self.changes) - summary.resets, self.left_out
+        summary.as_recorded, summary.differences = self.as_recorded, self._differences(simulator)
         return summary
+
+    def _differences(self, simulator: Simulator) -> list[str] | None:
+        """How what is simulated is different from what the bag was made with; None where that is not known."""
+        origin = self.origin
+        if origin is None:
+            return None
+        recorded = with_values(origin.scene, self._set_before)
+        pairs = {
+            "sha256 of the mesh": (mesh_hash(simulator.mesh), origin.mesh_sha256),
+            "finger_sim": (version(), origin.version),
+        }
+        out = list(differences(described(self.scene), recorded))
+        return out + [text for name, (ours, theirs) in pairs.items() for text in differences(ours, theirs, name)]
 
     def _leave(self, recording: BagWriter, summary: Summary, error: BaseException) -> str:
         """Finishes the bag of a run that ends here, or removes it if nothing was simulated; what is left, in words."""
@@ -212,7 +295,7 @@ class Replay:
 
 
 def run(
-    scene: Scene,
+    scene: Scene | None,
     bag: str | Path,
     out: str | Path,
     selection: Selection | None = None,
@@ -225,15 +308,17 @@ def run(
     The newest command received up to the beginning of a step holds during it; the first one places the finger
     at rest. Poses of the plane in the bag move it likewise: it rests at the newest before the first command. The last
     step is the one that follows the last of all these. Both are copied as they were read, those that are refused
-    too: replayed, `out` gives itself.
+    too, and so are live changes that are followed: replayed, `out` gives itself.
     A bag that the node recorded from its first command on gives the live wrench back but for where steps begin:
     what is live at a time is here within two steps of it. Of one that began later the history is not known.
     In mode triggered, as the node's, there is one step for each command, stamped with its receipt: what the node
     recorded in that mode from its first command on comes back bit by bit (but for when a moving plane's poses came).
 
-    selection : what of the bag is simulated, and in which mode; all, and free, if left out
+    scene     : None: what the bag was made with, the node's parameters and all that was changed live; see Replay.
+                Resets are made in any case, each before the first step that begins after it
+    selection : what of the bag is simulated, and in which mode; all, if left out
     progress   : called after every step
-    simulator : of this scene, instead of a new one
+    simulator : of the scene that is simulated, instead of a new one
     Raises BagError for a bag that cannot be read or made and for a selection that is not in it, and what Simulator
     raises. SIGINT and SIGTERM take effect between two steps. Whatever ends it before its end leaves a finished bag
     of the steps made by then, with the reason in its metadata; where there are none, no bag.

@@ -1,0 +1,50 @@
+"""What nodes log, for recordings: /rosout, taken now and then by whoever serves ROS, never by the loop.
+
+No executor waits for it: a node that logs much would wake it for each line, and take the interpreter from a step.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rcl_interfaces.msg import Log
+
+from ..bags.reader import Qos
+from .outputs import Outputs, ros_qos, ros_type
+from .rclpy_private import take
+from .recorder import RecordedTopic
+
+TOPIC = "/rosout"
+QOS = Qos(depth=1000, transient_local=True)
+"""As every node offers it."""
+
+
+class Rosout:
+    """The subscription to /rosout.
+
+    entity : what no executor is to wait for
+    """
+
+    def __init__(self, node: Any, outputs: Outputs) -> None:
+        self._outputs = outputs
+        self.entity = node.create_subscription(Log, TOPIC, lambda _: None, ros_qos(QOS), raw=True)
+        self._looked = time.monotonic_ns()
+
+    def recorded_topics(self) -> list[RecordedTopic]:
+        """The topic of a recording."""
+        return [RecordedTopic(TOPIC, ros_type(Log), QOS)]
+
+    def record(self) -> None:
+        """Puts what came since the last call into the recording, if there is one.
+
+        The wall clock tells when a message came: one that jumps puts it at the last look at the earliest.
+        """
+        recorder = self._outputs.recorder
+        while (taken := take(self.entity)) is not None:
+            data, received = taken
+            if recorder is not None:
+                now = time.monotonic_ns()
+                age = min(max(time.time_ns() - received, 0), now - self._looked)
+                recorder.put(TOPIC, data, now - age)
+        self._looked = time.monotonic_ns()
