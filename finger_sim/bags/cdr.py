@@ -120,6 +120,40 @@ def transforms(stamp: int, frame_id: str, poses: Mapping[str, Pose]) -> bytes:
     return _serialize(_new(TF_MESSAGE, message), TF_MESSAGE)
 
 
+PARAMETER_FIELDS = {
+    1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 6: "bool_array_value",
+    7: "integer_array_value", 8: "double_array_value", 9: "string_array_value",
+}  # fmt: skip
+"""Where a ParameterValue has its value, by its type; other types are of no parameter of the node."""
+
+
+def parameter_event(stamp: int, node: str, changed: Mapping[str, Any]) -> bytes:
+    """ParameterEvent: parameters of a node, by name, that have these plain values from now on.
+
+    rclpy serialises this type with bytes behind its end, which `rosbags` does not take.
+    """
+    time = _new("builtin_interfaces/msg/Time", *divmod(stamp, 1_000_000_000))
+    values = {name: _parameter_value(value) for name, value in changed.items()}
+    parameters = [_new("rcl_interfaces/msg/Parameter", name, value) for name, value in values.items()]
+    return _serialize(_new(PARAMETER_EVENT, time, node, [], parameters, []), PARAMETER_EVENT)
+
+
+def _parameter_value(value: Any) -> Any:
+    """Of type 0, not set, where no parameter of the node has such a value."""
+    fields: dict[str, Any] = {
+        "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
+        "byte_array_value": np.zeros(0, np.uint8), "bool_array_value": np.zeros(0, np.bool_),
+        "integer_array_value": np.zeros(0, np.int64), "double_array_value": np.zeros(0), "string_array_value": [],
+    }  # fmt: skip
+    of_one, of_several = {bool: 1, int: 2, float: 3, str: 4}, {bool: 6, int: 7, float: 8, str: 9}
+    several = isinstance(value, list) and len(value) > 0
+    kind = of_several.get(type(value[0]), 0) if several else of_one.get(type(value), 0)
+    if kind in PARAMETER_FIELDS:
+        empty = fields[PARAMETER_FIELDS[kind]]
+        fields[PARAMETER_FIELDS[kind]] = np.array(value, empty.dtype) if isinstance(empty, np.ndarray) else value
+    return _new("rcl_interfaces/msg/ParameterValue", kind, *fields.values())
+
+
 def empty() -> bytes:
     """Empty: nothing but that it came."""
     return _serialize(_new(EMPTY), EMPTY)

@@ -25,12 +25,6 @@ RESET = "reset"
 """Last part of the name of the topic with resets: as that of the service which makes them."""
 RESET_QOS = Qos()
 
-_FIELDS = {
-    1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 6: "bool_array_value",
-    7: "integer_array_value", 8: "double_array_value", 9: "string_array_value",
-}  # fmt: skip
-"""Where rcl_interfaces/ParameterValue has its value, by its type; other types are of no parameter of a node."""
-
 
 class Change(NamedTuple):
     """One change of a recording."""
@@ -125,7 +119,6 @@ def _set_values(reader: BagReader, message: Message) -> Iterator[tuple[str, Any]
     except ValueError as error:
         raise BagError(f"{reader.path}: topic {message.topic}: {error}") from None
     for parameter in (*event.new_parameters, *event.changed_parameters):
-        field = _FIELDS.get(parameter.value.type)
-        if field is not None:
-            value = getattr(parameter.value, field)
+        if parameter.value.type in cdr.PARAMETER_FIELDS:
+            value = getattr(parameter.value, cdr.PARAMETER_FIELDS[parameter.value.type])
             yield parameter.name, value.tolist() if hasattr(value, "tolist") else value

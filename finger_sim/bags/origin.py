@@ -117,11 +117,21 @@ def described(scene: Scene) -> dict[str, Any]:
     return data
 
 
-def differences(ours: Any, theirs: Any, key: str = "") -> Iterator[str]:
-    """What is different in two scenes in plain values, a text for each key: our value, and theirs as the recorded."""
+def differences(scene: Scene, mesh: TetMesh, origin: Origin, recorded: Mapping[str, Any]) -> Iterator[str]:
+    """How a scene with its mesh, here and now, is different from what made a bag; a text for each key.
+
+    recorded : the bag's scene, with what had been changed live
+    """
+    yield from _differences(described(scene), recorded)
+    yield from _differences(mesh_hash(mesh), origin.mesh_sha256, "sha256 of the mesh")
+    yield from _differences(version(), origin.version, "finger_sim")
+
+
+def _differences(ours: Any, theirs: Any, key: str = "") -> Iterator[str]:
+    """What is different in two plain values, a text for each key: ours, and theirs as the recorded."""
     if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
         for name in dict.fromkeys([*ours, *theirs]):
-            yield from differences(ours.get(name), theirs.get(name), f"{key}.{name}" if key else name)
+            yield from _differences(ours.get(name), theirs.get(name), f"{key}.{name}" if key else name)
     elif ours != theirs:
         yield f"{key} {_flow(ours)} (recorded: {_flow(theirs)})"
 

@@ -87,7 +87,6 @@ class FingerNode(Node):  # type: ignore[misc]
         if options.record and os.path.lexists(bag_path("record", options.record)):
             raise SceneError("record", options.record, "a path that does not exist yet")
         self.add_pre_set_parameters_callback(lambda given: parameters.widen(given, self))
-        self.add_on_set_parameters_callback(self._on_set)
 
         self._standby = Standby()
         self._standby.prepare()
@@ -114,6 +113,7 @@ class FingerNode(Node):  # type: ignore[misc]
                 wake=self._inbox.wake,
                 capacity=WAITING_COMMANDS,
             )
+        self.add_on_set_parameters_callback(self._on_set)
         graph = GraphWatch(self, self._inbox.subscriptions)
         self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._inbox, graph)
         self.create_service(Trigger, "~/reset", self._on_reset)

@@ -9,10 +9,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterEvent
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.serialization import serialize_message
 
+from ..bags import cdr
 from ..bags.template import Template
 from ..errors import SceneError
 from ..scene import Parameter, Scene
@@ -156,8 +156,7 @@ def widen(given: list[Any], node: Any) -> list[Any]:
 
 def event(node: str, given: Iterable[Any]) -> Template:
     """What /parameter_events tells of a set request to the node of that name, as rclpy sends it; to be stamped."""
-    message = ParameterEvent(node=node, changed_parameters=[parameter.to_parameter_msg() for parameter in given])
-    return Template(serialize_message(message))
+    return Template(cdr.parameter_event(0, node, {parameter.name: plain(parameter.value) for parameter in given}))
 
 
 def live_changes(parameters: Iterable[Any], scene: Scene, options: NodeOptions) -> tuple[dict[str, Any], NodeOptions]:

@@ -21,7 +21,7 @@ from ..bags.changes import Change, before_their_steps, changed, changes_in, with
 from ..bags.excerpt import Newest, Received, Tally, commands_in, plane_poses_in
 from ..bags.interrupts import deferred
 from ..bags.layout import WRENCH_FRAMES
-from ..bags.origin import described, differences, mesh_hash, origin_of, read_origin, recorded_scene, version
+from ..bags.origin import differences, origin_of, read_origin, recorded_scene
 from ..bags.reader import LONGEST_SPAN_SECONDS, BagReader, BagWriter, require_absent
 from ..errors import BagError, FingerSimError
 from .costs import Costs
@@ -267,21 +267,11 @@ class Replay:
             summary.plane_refused = plane.refused + plane.good - summary.plane_poses
         summary.resets = sum(change.reset for change in self.changes)
         summary.live_changes, summary.left_out = len(self.changes) - summary.resets, self.left_out
-        summary.as_recorded, summary.differences = self.as_recorded, self._differences(simulator)
+        summary.as_recorded = self.as_recorded
+        if self.origin is not None:
+            recorded = with_values(self.origin.scene, self._set_before)
+            summary.differences = list(differences(self.scene, simulator.mesh, self.origin, recorded))
         return summary
-
-    def _differences(self, simulator: Simulator) -> list[str] | None:
-        """How what is simulated is different from what the bag was made with; None where that is not known."""
-        origin = self.origin
-        if origin is None:
-            return None
-        recorded = with_values(origin.scene, self._set_before)
-        pairs = {
-            "sha256 of the mesh": (mesh_hash(simulator.mesh), origin.mesh_sha256),
-            "finger_sim": (version(), origin.version),
-        }
-        out = list(differences(described(self.scene), recorded))
-        return out + [text for name, (ours, theirs) in pairs.items() for text in differences(ours, theirs, name)]
 
     def _leave(self, recording: BagWriter, summary: Summary, error: BaseException) -> str:
         """Finishes the bag of a run that ends here, or removes it if nothing was simulated; what is left, in words."""

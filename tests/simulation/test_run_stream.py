@@ -13,7 +13,7 @@ import pytest
 from finger_sim.bags import cdr
 from finger_sim.bags.reader import BagReader, BagWriter, write_commands
 from finger_sim.errors import BagError
-from finger_sim.scene import Pose
+from finger_sim.scene import Pose, Scene
 from finger_sim.simulation.costs import Costs
 from finger_sim.simulation.replay import Replay, Selection, run
 
@@ -33,6 +33,7 @@ class Stub:
         self.mesh = SimpleNamespace(points=np.vstack([np.zeros(3), np.eye(3)]), tets=tets, surface=tets[:, :3])
         self.positions = self.contact_forces = self.mesh.points
         self.strain_ratio = np.zeros(1)
+        self.plane_pose = None
 
     def reset(self, pose: Pose, plane: Pose | None = None) -> None:
         self.placed = pose.position[0]
@@ -56,8 +57,8 @@ class Forgetful(Stub):
     def note(self, command: float, plane: float | None) -> None: ...
 
 
-def scene(dt: float = 1e-3, plane: bool = True) -> Any:
-    return SimpleNamespace(dt=dt, plane=object() if plane else None)
+def scene(dt: float = 1e-3) -> Scene:
+    return Scene.from_dict({"mesh": {"beam": {}}, "plane": {}, "dt": dt})
 
 
 def bag_of(path: Path, commands: dict[int, float], plane: dict[int, float] | None = None) -> Path:
