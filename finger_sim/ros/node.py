@@ -31,7 +31,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from ..bags import cdr
-from ..bags.changes import EVENTS
+from ..bags.changes import EVENTS, RESET, RESET_QOS
 from ..bags.origin import block_text, machine, origin_of
 from ..bags.template import Template
 from ..errors import FingerSimError, SceneError
@@ -46,7 +46,8 @@ from .loop import Loop, RateLoop, StepCounts, TriggeredLoop, prefer_this_thread
 from .messages import time_of
 from .options import NodeOptions
 from .outputs import Outputs
-from .recorder import Recorder
+from .process import flush, process_age
+from .recorder import RecordedTopic, Recorder
 from .rosout import Rosout
 from .stepper import Stepper
 
@@ -95,6 +96,7 @@ class FingerNode(Node):  # type: ignore[misc]
         self._stepper = Stepper(scene, self._outputs, self.get_clock(), log)
         self._processors = parameters.processors(options.cpu_affinity)
         self._inbox = Inbox(self, self._outputs, lambda: self._stepper.scene.plane is not None)
+        self._resets = RecordedTopic(str(self.resolve_service_name(f"~/{RESET}")), cdr.EMPTY, RESET_QOS)
         self._rosout = Rosout(self, self._outputs)
         self._beginning = threading.Lock()
         """Held while a recording begins: no option changes once it has said what they are, before it takes changes."""
@@ -161,7 +163,7 @@ class FingerNode(Node):  # type: ignore[misc]
             self.get_logger().fatal(" ".join(f"{type(error).__name__}: {error}".split()))
         if not stopped:
             # A compiler or a step that does not come back cannot be unwound: leave it where it is.
-            _flush()
+            flush()
             os._exit(int(error is not None))
         return int(error is not None)
 
@@ -177,7 +179,7 @@ class FingerNode(Node):  # type: ignore[misc]
         scene, options = self._stepper.scene, self._outputs.options
         pace = f"at {1.0 / scene.dt:g} Hz" if options.mode == "free" else "one step for each command"
         self.get_logger().info(
-            f"ready after {_process_age():.1f} s: {options.scene}, {len(self._stepper.sim.mesh.tets)} tets, {pace}"
+            f"ready after {process_age():.1f} s: {options.scene}, {len(self._stepper.sim.mesh.tets)} tets, {pace}"
         )
 
     def _place_this_thread(self, priority: int) -> None:
@@ -251,7 +253,7 @@ class FingerNode(Node):  # type: ignore[misc]
     def _reset(self) -> Pose:
         """Back to rest at the last command, which is recorded."""
         pose = self._stepper.reset()
-        self._outputs.record(self._outputs.reset, cdr.empty())
+        self._outputs.record(self._resets.name, cdr.empty())
         return pose
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -291,7 +293,7 @@ class FingerNode(Node):  # type: ignore[misc]
         with self._beginning:
             options, scene, sim = self._outputs.options, self._stepper.scene, self._stepper.sim
             sources = (self._outputs, self._inbox, self._rosout)
-            topics = [topic for source in sources for topic in source.recorded_topics()]
+            topics = [topic for source in sources for topic in source.recorded_topics()] + [self._resets]
             origin = origin_of("node", scene, sim.mesh, dataclasses.asdict(options), machine())
             bag = {
                 "compression": options.record_compression,
@@ -317,17 +319,6 @@ class FingerNode(Node):  # type: ignore[misc]
             answer.cancel()
             reason = "the loop is stalled" if self._loop.ready else f"not ready: {self._progress}"
             raise FingerSimError(reason) from None
-
-
-def _process_age() -> float:
-    """Time since this process was started, its imports included [s]."""
-    ticks = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
-    return time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
-
-
-def _flush() -> None:
-    sys.stdout.flush()
-    sys.stderr.flush()
 
 
 def main(args: list[str] | None = None) -> int:

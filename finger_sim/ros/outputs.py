@@ -19,7 +19,7 @@ from visualization_msgs.msg import Marker
 
 from ..arrays import Floats
 from ..bags import cdr
-from ..bags.changes import EVENTS, EVENTS_QOS, RESET, RESET_QOS
+from ..bags.changes import EVENTS, EVENTS_QOS
 from ..bags.frames import MOVING, MOVING_QOS, PLANE, STANDING, STANDING_QOS, Frames
 from ..bags.layout import express_wrench, node_strain, pack_points, wrench_frame_id
 from ..bags.reader import Qos
@@ -67,7 +67,6 @@ def ros_qos(qos: Qos) -> QoSProfile:
 class Outputs:
     """The publishers of the node and the recording, if there is one.
 
-    reset    : name of the topic on which a recording tells of resets
     options  : the node's options as they are now, never changed but replaced; a step works on what it read at once
     recorder : gets every message that is sent; None while nothing is recorded
     mesh_messages : point clouds made so far
@@ -85,7 +84,6 @@ class Outputs:
         self._wrench = messages.wrench_template(
             wrench_frame_id(options.wrench_frame, options.finger_frame, options.world_frame)
         )
-        self.reset = str(node.resolve_service_name(f"~/{RESET}"))
         self._device = messages.wrench_template(f"{options.finger_frame}_world_aligned")
         self._pose = messages.pose_template(options.world_frame)
         self._mesh_due = self._marker_due = self._tf_due = 0.0
@@ -110,7 +108,7 @@ class Outputs:
             for name, (kind, qos) in _TYPES.items()
             if name != "mesh_marker"
         ]
-        return [*sent, *_RECORDED, RecordedTopic(self.reset, cdr.EMPTY, RESET_QOS)]
+        return [*sent, *_RECORDED]
 
     def start_recording(self, recorder: Recorder, plane: Pose | None, stamp: int) -> None:
         """Records from now on, beginning with what late listeners get too: the topology, and where the plane is.

@@ -41,6 +41,7 @@ class Recorder:
 
     `put` may be called by any thread, all else by one at a time.
 
+    began    : steady time from which messages are taken [ns]
     path     : folder of the bag; BagError if it exists or cannot be made
     topics   : announced in this order
     capacity : messages that may wait to be written
@@ -83,6 +84,7 @@ class Recorder:
         if self.error is not None:
             raise BagError(self.error)
         self._failed = failed
+        self.began = time.monotonic_ns()
 
     @property
     def active(self) -> bool:

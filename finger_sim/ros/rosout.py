@@ -43,8 +43,8 @@ class Rosout:
         recorder = self._outputs.recorder
         while (taken := take(self.entity)) is not None:
             data, received = taken
-            if recorder is not None:
-                now = time.monotonic_ns()
-                age = min(max(time.time_ns() - received, 0), now - self._looked)
-                recorder.put(TOPIC, data, now - age)
+            now = time.monotonic_ns()
+            came = now - min(max(time.time_ns() - received, 0), now - self._looked)
+            if recorder is not None and came >= recorder.began:
+                recorder.put(TOPIC, data, came)
         self._looked = time.monotonic_ns()
