@@ -7,7 +7,7 @@ version      of finger_sim
 made_by      node or run
 scene        YAML, with the values live at the bag's beginning; a mesh that ships by its name, another by its path
 options      YAML: the node's own parameters then, or what a run took of them
-mesh_sha256  of the nodes and tetrahedra themselves, wherever they came from
+mesh_sha256  of nodes, tetrahedra, material axes and node sets themselves, wherever they came from
 machine      YAML: cpu and cores (of a node; a run gives the same everywhere)
 reached      YAML: rate, steps, late and skipped ones, since the bag's beginning (of a node that ended the bag itself)
 part         number of the file in its bag, counted from 0 (in files after the first)
@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from ..errors import BagError, FingerSimError
 from ..scene import Scene
@@ -137,12 +138,14 @@ def _differences(ours: Any, theirs: Any, key: str = "") -> Iterator[str]:
 
 
 def mesh_hash(mesh: TetMesh) -> str:
-    """sha256 of nodes and tetrahedra, in hexadecimal."""
-    numbers = hashlib.sha256()
-    for array, kind in ((mesh.points, "<f8"), (mesh.tets, "<i4")):
-        numbers.update(repr(array.shape).encode())
-        numbers.update(np.ascontiguousarray(array, dtype=kind).tobytes())
-    return numbers.hexdigest()
+    """sha256 of nodes, tetrahedra, material axes and node sets, in hexadecimal."""
+    arrays: dict[str, NDArray[Any]] = {"points": mesh.points, "tets": mesh.tets, "axes": mesh.axes}
+    arrays |= {f"set {name}": nodes for name, nodes in sorted(mesh.node_sets.items())}
+    found = hashlib.sha256()
+    for name, array in arrays.items():
+        found.update(f"{name} {array.shape}\n".encode())
+        found.update(np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).tobytes())
+    return found.hexdigest()
 
 
 def version() -> str:

@@ -36,15 +36,17 @@ class Rosout:
         return [RecordedTopic(TOPIC, ros_type(Log), QOS)]
 
     def record(self) -> None:
-        """Puts what came since the last call into the recording, if there is one.
+        """Puts what came since the last call, and since the recording began, into it; without one all is left to lie.
 
         The wall clock tells when a message came: one that jumps puts it at the last look at the earliest.
         """
         recorder = self._outputs.recorder
+        if recorder is None or not recorder.active:
+            return
         while (taken := take(self.entity)) is not None:
             data, received = taken
             now = time.monotonic_ns()
             came = now - min(max(time.time_ns() - received, 0), now - self._looked)
-            if recorder is not None and came >= recorder.began:
+            if came >= recorder.began:
                 recorder.put(TOPIC, data, came)
         self._looked = time.monotonic_ns()

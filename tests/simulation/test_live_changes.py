@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -159,6 +160,24 @@ def test_the_same_steps_by_hand(tmp_path: Path) -> None:
     got = [m.data[-48:] for m in BagReader(tmp_path / "out").messages(["contact_wrench"])]
     assert np.linalg.norm(wrenches, axis=1).max() > 0.1
     np.testing.assert_array_equal(np.frombuffer(b"".join(got)).reshape(-1, 6), wrenches)
+
+
+def test_values_that_ros_has_otherwise(tmp_path: Path) -> None:
+    """Infinite where a scene has null, lists; a value that the scene refuses is told with where it is from."""
+    scene = BEAM.with_values({"solver.budget_ms": 3.0})
+    events: list[dict[str, Any]] = [{"solver.budget_ms": math.inf, "plane.normal": [0.0, 1.0, 1.0]}]
+    for name, given in {"good": events, "bad": [*events, {"plane.friction": -1.0}]}.items():
+        with BagWriter(tmp_path / name, origin=origin_of("node", scene, BEAM.load_mesh(), {}).words()) as bag:
+            bag.add_topic("command_pose", cdr.POSE_STAMPED)
+            bag.add_topic("/parameter_events", cdr.PARAMETER_EVENT)
+            bag.write("command_pose", cdr.pose_stamped(0, "world", (0.0, 0.0, 0.0), LEVEL), START)
+            for values in given:
+                bag.write("/parameter_events", cdr.parameter_event(0, "/finger", values), START)
+    assert Replay(None, tmp_path / "good").scene == scene.with_values(
+        {"solver.budget_ms": None, "plane.normal": [0, 1, 1]}
+    )
+    with pytest.raises(BagError, match=r"/parameter_events: a recorded change is refused: plane\.friction: got -1\.0"):
+        Replay(None, tmp_path / "bad")
 
 
 @pytest.mark.parametrize(("options", "says"), [({"mode": "fast"}, "mode: got 'fast'"), ({"wrench_frame": 3}, "got 3")])

@@ -49,7 +49,9 @@ class FakeSimulator:
         self.planes: list[Pose | None] = []
         self.resets: list[Pose] = []
         tets = np.array([[0, 1, 2, 3]])
-        self.mesh = SimpleNamespace(points=np.vstack([np.zeros(3), np.eye(3)]), tets=tets, surface=tets[:, :3])
+        self.mesh = SimpleNamespace(
+            points=np.vstack([np.zeros(3), np.eye(3)]), tets=tets, surface=tets[:, :3], node_sets={}, axes=np.eye(3)
+        )
         self.strain_ratio = np.array([0.75])
         self.contact_forces = np.arange(12.0).reshape(4, 3)
         self.plane_pose = None
