@@ -15,5 +15,6 @@ def process_age() -> float:
 
 
 def flush() -> None:
+    """Hands what was printed to the system."""
     sys.stdout.flush()
     sys.stderr.flush()

@@ -530,7 +530,7 @@ sys.exit(main())
 
 
 def test_frames_are_broadcast_where_tf2_is_installed(tmp_path):
-    """The finger frame turns with the finger, its world-aligned twin does not."""
+    """The finger frame turns with the finger, its world-aligned twin does not; the plane is there too."""
     arguments = (
         "-p",
         f"scene:={write_block(tmp_path)}",
@@ -540,6 +540,7 @@ def test_frames_are_broadcast_where_tf2_is_installed(tmp_path):
     with NodeProcess(tmp_path / "log", *arguments, program=("-c", FRAMES)) as node:
         node.wait_for("frame world finger 0.01 1.0 0.0")
         node.wait_for("frame world finger_world_aligned 0.01 0.0 1.0")
+        node.wait_for("frame world plane 0.0 0.0 1.0")
         assert node.end() == 0
 
 

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from rcl_interfaces.msg import ParameterEvent
+from rclpy.serialization import deserialize_message
 from ros_helpers import Client, NodeProcess, beyond_replay, write_block
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -101,6 +102,10 @@ def test_changes_are_recorded_as_they_are_published(recorded):
     ]
     assert said[0] == [("/finger", "plane.friction", 3, 0.0), ("/finger", "force_scale", 3, 0.1)]
     assert said[1] == said[0]
+    kept = [deserialize_message(m.data, ParameterEvent) for m in BagReader(bag).messages(["/parameter_events"])]
+    for mine, theirs in zip(kept, events, strict=True):
+        mine.stamp = theirs.stamp  # when it took effect, and when it was told
+        assert mine == theirs
     ((_, at, _),) = read(bag, "/finger/reset")
     assert at > found[1].stamp.sec * 10**9
 
