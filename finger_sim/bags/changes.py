@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from ..errors import BagError, SceneError
@@ -17,6 +18,7 @@ from ..scene.ros_values import from_ros
 from . import cdr
 from .excerpt import Received
 from .metadata import Qos
+from .origin import Origin
 from .reader import BagReader, Message, absolute
 
 EVENTS = "/parameter_events"
@@ -73,17 +75,18 @@ def changed(reader: BagReader, scene: Scene, changes: Iterable[Change]) -> Scene
     return scene
 
 
-def with_values(scene: Mapping[str, Any], changes: Iterable[Change]) -> dict[str, Any]:
-    """A scene in plain values after these changes, whatever they are."""
-    out = copy.deepcopy(dict(scene))
+def after(origin: Origin, changes: Iterable[Change]) -> Origin:
+    """What made a bag, with scene and options after these changes, whatever they are."""
+    scene, options = copy.deepcopy(dict(origin.scene)), dict(origin.options)
     for change in changes:
+        options.update(change.options)
         for key, value in change.scene.items():
             *blocks, name = key.split(".")
-            block = out
+            block = scene
             for part in blocks:
                 block = block.setdefault(part, {})
             block[name] = value
-    return out
+    return replace(origin, scene=scene, options=options)
 
 
 def before_their_steps(reader: BagReader, commands: Iterator[Received], changes: list[Change]) -> list[Change]:

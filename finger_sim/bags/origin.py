@@ -118,14 +118,13 @@ def described(scene: Scene) -> dict[str, Any]:
     return data
 
 
-def differences(scene: Scene, mesh: TetMesh, origin: Origin, recorded: Mapping[str, Any]) -> Iterator[str]:
-    """How a scene with its mesh, here and now, is different from what made a bag; a text for each key.
-
-    recorded : the bag's scene, with what had been changed live
-    """
-    yield from _differences(described(scene), recorded)
-    yield from _differences(mesh_hash(mesh), origin.mesh_sha256, "sha256 of the mesh")
-    yield from _differences(version(), origin.version, "finger_sim")
+def differences(ours: Origin, theirs: Origin) -> Iterator[str]:
+    """How what makes a bag is different from what made another; a text for each key. Options are those of both."""
+    yield from _differences(ours.scene, theirs.scene)
+    for name in ours.options:
+        yield from _differences(ours.options[name], theirs.options.get(name, ours.options[name]), name)
+    yield from _differences(ours.mesh_sha256, theirs.mesh_sha256, "sha256 of the mesh")
+    yield from _differences(ours.version, theirs.version, "finger_sim")
 
 
 def _differences(ours: Any, theirs: Any, key: str = "") -> Iterator[str]:

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from ..bags import cdr
-from ..bags.changes import Change, before_their_steps, changed, changes_in, with_values
+from ..bags.changes import Change, after, before_their_steps, changed, changes_in
 from ..bags.excerpt import Newest, Received, Tally, commands_in, plane_poses_in
 from ..bags.interrupts import deferred
 from ..bags.layout import WRENCH_FRAMES
-from ..bags.origin import differences, origin_of, read_origin, recorded_scene
+from ..bags.origin import Origin, differences, origin_of, read_origin, recorded_scene
 from ..bags.reader import LONGEST_SPAN_SECONDS, BagReader, BagWriter, require_absent
 from ..errors import BagError, FingerSimError
 from .costs import Costs
@@ -137,7 +137,7 @@ class Replay:
         """
         before = [change for change in changes if change.time <= self.start]
         later = [change for change in changes if change.time > self.start]
-        self._set_before = [change for change in before if change.scene]
+        self._before = before
         if self.as_recorded:
             self.scene = changed(self.reader, self.scene, before)
             changed(self.reader, self.scene, later)
@@ -156,9 +156,9 @@ class Replay:
             from .simulator import Simulator
 
             simulator = Simulator(self.scene)
-        summary = self._summary(out, simulator)
         taken = {name: self.options[name] for name in DEFAULTS}
         origin = origin_of("run", self.scene, simulator.mesh, taken)
+        summary = self._summary(out, origin)
         with deferred() as interrupt:
             recording = BagWriter(out, origin=origin.words())
             try:
@@ -257,7 +257,7 @@ class Replay:
             raise BagError(f"{self.reader.path}: duration: got {duration:.9g} s from {start:.9g} s on, {allowed}")
         return begin if start else None, end
 
-    def _summary(self, out: str | Path, simulator: Simulator) -> Summary:
+    def _summary(self, out: str | Path, origin: Origin) -> Summary:
         """What is known before the first step."""
         tally, plane = self.tally, self.plane_tally
         summary = Summary(Path(out), self.commands.topic, tally.good, tally.refused, self.reader.warning)
@@ -269,8 +269,7 @@ class Replay:
         summary.live_changes, summary.left_out = len(self.changes) - summary.resets, self.left_out
         summary.as_recorded = self.as_recorded
         if self.origin is not None:
-            recorded = with_values(self.origin.scene, self._set_before)
-            summary.differences = list(differences(self.scene, simulator.mesh, self.origin, recorded))
+            summary.differences = list(differences(origin, after(self.origin, self._before)))
         return summary
 
     def _leave(self, recording: BagWriter, summary: Summary, error: BaseException) -> str:

@@ -72,7 +72,7 @@ def test_live_changes_are_made_again(recorded, tmp_path):
     one, other = (next(path.glob("*.mcap")).read_bytes() for path in (tmp_path / "again", tmp_path / "third" / "again"))
     assert one == other
     summary = replay.run(Scene.load(str(scene)), bag, tmp_path / "other")
-    assert summary.differences == ["plane.friction 0.5 (recorded: 0.4)"]
+    assert summary.differences == ["plane.friction 0.5 (recorded: 0.4)", "finger_frame finger (recorded: tip)"]
     assert (summary.left_out, summary.resets) == (2, 1)
     _, _, beyond = beyond_replay(bag, tmp_path / "other")
     assert np.percentile(beyond, 99) > 0.1 * peak

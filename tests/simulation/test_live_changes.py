@@ -123,6 +123,7 @@ def test_a_scene_given_wins(tmp_path: Path) -> None:
     assert log.told == [(8, None)]
     assert summary.differences == [
         "material.young 60000.0 (recorded: 50000.0)", "plane.friction 0.4 (recorded: 0.6)",
+        "finger_frame finger (recorded: tip)", "wrench_frame world_aligned (recorded: world)",
     ]  # fmt: skip
     assert (summary.left_out, summary.resets, summary.live_changes) == (4, 1, 0)
 
