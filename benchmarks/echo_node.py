@@ -1,11 +1,11 @@
 """A bare rclpy node: each PoseStamped on command_pose at once gives a WrenchStamped of its stamp on contact_wrench.
 
-Bytes in, bytes out, nothing made into messages: the least that any node between these topics could take. Its argument
-is the executor: events, single or multi.
+Bytes in, bytes out, nothing made into messages: the least that any node between these topics could take.
 """
 
 from __future__ import annotations
 
+import argparse
 import signal
 import sys
 import threading
@@ -17,6 +17,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 EXECUTORS = {"events": EventsExecutor, "single": SingleThreadedExecutor, "multi": MultiThreadedExecutor}
 STAMP = slice(4, 12)
@@ -24,7 +25,10 @@ STAMP = slice(4, 12)
 
 
 def main() -> None:
-    executor_name, reliability = sys.argv[1:3]
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("executor", choices=EXECUTORS)
+    parser.add_argument("reliability", choices=("reliable", "best_effort"))
+    given = parser.parse_args(remove_ros_args(sys.argv)[1:])
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -39,9 +43,9 @@ def main() -> None:
         data[STAMP] = command[STAMP]
         publisher.publish(bytes(data))
 
-    qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy[reliability.upper()])
+    qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy[given.reliability.upper()])
     node.create_subscription(PoseStamped, "command_pose", echo, qos, raw=True)
-    executor = EXECUTORS[executor_name]()
+    executor = EXECUTORS[given.executor]()
     executor.add_node(node)
     print("ready after", file=sys.stderr, flush=True)
     while not stop.is_set():

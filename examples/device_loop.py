@@ -4,14 +4,19 @@ Put your driver where DEVICE stands. What is here moves a mass by a hand that pr
 over; start `finger_sim node --ros-args -p scene:=finger_coupled` beside it. Ends with Ctrl-C, no force on the device.
 """
 
+import argparse
 import math
+import signal
+import sys
+import threading
 import time
 
 import rclpy
 from geometry_msgs.msg import PoseStamped, Vector3, WrenchStamped
-from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 RATE, SILENCE = 1000.0, 0.05
 """Poses a second [Hz]; a force older than this is no longer rendered [s]."""
@@ -35,7 +40,12 @@ class Device:  # DEVICE: your driver instead
 
 
 def main() -> None:
-    rclpy.init()
+    usage = "%(prog)s [-h] [--ros-args -r device_wrench:=… -r command_pose:=…]"
+    argparse.ArgumentParser(usage=usage, description=__doc__).parse_args(remove_ros_args(sys.argv)[1:])
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node, executor, device = rclpy.create_node("device"), EventsExecutor(), Device()
     executor.add_node(node)
     force, came, largest, count, due = Vector3(), -math.inf, 0.0, 0, time.monotonic()
@@ -50,7 +60,7 @@ def main() -> None:
     message = PoseStamped()
     message.header.frame_id = "world"
     try:
-        while rclpy.ok():
+        while not stop.is_set():
             p, q = message.pose.position, message.pose.orientation
             (p.x, p.y, p.z), (q.x, q.y, q.z, q.w) = device.pose()
             message.header.stamp = node.get_clock().now().to_msg()
@@ -59,8 +69,6 @@ def main() -> None:
             while (wait := due - time.monotonic()) > 0.0:
                 executor.spin_once(timeout_sec=wait)
             device.render(force if time.monotonic() - came < SILENCE else Vector3())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
     finally:
         device.render(Vector3())
         print(f"{count} wrenches came, the largest force was {largest:.2f} N", flush=True)

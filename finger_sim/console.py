@@ -1,21 +1,30 @@
-"""What people see while they wait, and tables: progress on stderr, results on stdout."""
+"""What people see: progress on stderr while they wait, results on stdout; commands that only make files."""
 
 from __future__ import annotations
 
+import argparse
 import sys
+import textwrap
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import IO
 
-from rich.console import Console
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
+
+from .errors import FingerSimError
 
 LINE_PERIOD = 2.0
 """Time between two lines about the same work where there is no terminal [s]."""
 BAR_PERIOD = 0.2
 """Time between two redraws of a bar [s]."""
+INDENT = "  "
+"""Before what belongs to the line above."""
 PLAIN_WIDTH = 200
 """Characters in a line where there is no terminal: paths stay in one piece."""
 
@@ -32,9 +41,66 @@ def say(text: str) -> None:
     console(sys.stderr).print(text, soft_wrap=True)
 
 
+def show(*parts: str | Table) -> None:
+    """Texts and tables on stdout, one below the other. Long lines are left to the terminal to wrap."""
+    out = console()
+    for part in parts:
+        out.print(part, soft_wrap=isinstance(part, str), crop=False)
+
+
+class FittedTable(Table):
+    """A table whose columns are never narrower than their longest word; where they do not fit side by side, a list."""
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        cells = [[str(cell) for cell in (column.header, *column.cells)] for column in self.columns]
+        least = [max(cell_len(word) for cell in column for word in cell.split() or [""]) for column in cells]
+        wanted = [max(cell_len(line) for cell in column for line in cell.split("\n")) for column in cells]
+        gaps = max(len(cells) - 1, 0) * (self.padding[1] + self.padding[3])
+        room = options.max_width - gaps
+        if sum(least) > room and console.is_terminal:
+            yield from _listed(cells, options.max_width)
+            return
+        room = max(room, sum(least))
+        for column, width in zip(self.columns, _widths(least, wanted, room), strict=True):
+            column.width = width
+        yield from super().__rich_console__(console, options.update(max_width=room + gaps))
+
+
+def _widths(least: list[int], wanted: list[int], room: int) -> list[int]:
+    """Widths of columns, at least `least`, at most `wanted`; what is scarce goes to the narrowest first."""
+    widths = list(least)
+    spare = room - sum(widths)
+    open_ones = sorted((i for i in range(len(widths))), key=lambda i: wanted[i] - least[i])
+    for k, i in enumerate(open_ones):
+        more = min(wanted[i] - least[i], spare // (len(open_ones) - k))
+        widths[i] += more
+        spare -= more
+    return widths
+
+
+def _listed(cells: list[list[str]], width: int) -> Iterator[Text]:
+    """Rows of a table one below the other: the first cell, and below it the others, each after its column's name."""
+    names, *rows = zip(*cells, strict=True)
+    for first, *others in rows:
+        if first:
+            yield from _lines(first, width, "")
+        for name, cell in zip(names[1:], others, strict=True):
+            if cell:
+                yield from _lines(f"{name}: {cell}" if name else cell, width, INDENT)
+
+
+def _lines(text: str, width: int, indent: str) -> Iterator[Text]:
+    """A text in lines of whole words; a word that is longer than a line is left in one piece."""
+    wrapped = textwrap.wrap(
+        text, width, initial_indent=indent, subsequent_indent=2 * indent, break_long_words=False, break_on_hyphens=False
+    )
+    for line in wrapped or [""]:
+        yield Text(line, no_wrap=True, overflow="ignore")
+
+
 def table(*columns: str) -> Table:
     """An empty table; without columns it has no head, and gets them from its rows."""
-    out = Table(show_header=bool(columns), box=None, pad_edge=False)
+    out = FittedTable(show_header=bool(columns), box=None, pad_edge=False)
     for column in columns:
         out.add_column(column, overflow="fold")
     return out
@@ -46,9 +112,10 @@ class Gauge:
     def __init__(self, text: str) -> None:
         self._text = text
         self._due = time.monotonic() + LINE_PERIOD
+        self._said = ""
         self._bar: Progress | None = None
         if sys.stderr.isatty():
-            columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+            columns = (BarColumn(), TextColumn("{task.percentage:3.0f} %"))
             self._bar = Progress(
                 *columns, TimeElapsedColumn(), console=console(sys.stderr), auto_refresh=False, transient=True
             )
@@ -62,7 +129,10 @@ class Gauge:
             return
         if self._bar is None:
             self._due = now + LINE_PERIOD
-            say(f"{self._text}: {100.0 * done / max(total, 1e-300):.0f} %")
+            line = f"{self._text}: {100.0 * done / max(total, 1e-300):.0f} %"
+            if line != self._said:
+                say(line)
+            self._said = line
         else:
             self._due = now + BAR_PERIOD
             self._bar.update(self._task, completed=done, total=total, refresh=True)
@@ -82,3 +152,21 @@ def gauge(text: str) -> Iterator[Gauge]:
         yield meter
     finally:
         meter.close()
+
+
+def make_files(
+    module: str, what: str, place: str, make: Callable[[Path], Iterable[Path]], arguments: Sequence[str] | None
+) -> int:
+    """The command `python -m MODULE PLACE`: makes files there and prints their paths. Exit code 1 where it cannot.
+
+    what, place : said of the command and of its argument by --help
+    """
+    parser = argparse.ArgumentParser(prog=f"python -m {module}", description=what)
+    parser.add_argument("place", type=Path, help=place)
+    try:
+        for path in make(parser.parse_args(arguments).place):
+            print(path)
+    except (FingerSimError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0

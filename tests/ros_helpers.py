@@ -68,7 +68,8 @@ class NodeProcess:
     ) -> None:
         self.domain = next(DOMAINS) if domain is None else domain
         self.log = log
-        ros_arguments = ("--ros-args", *arguments) if arguments else ()
+        # Several nodes of tests share few processors: none may take them from the test that listens to it.
+        ros_arguments = ("--ros-args", "-p", "realtime_priority:=0", *arguments) if arguments else ()
         with log.open("wb") as output:
             self.process = subprocess.Popen(
                 [sys.executable, *program, *ros_arguments],

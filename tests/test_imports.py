@@ -19,7 +19,7 @@ def test_physics_needs_no_ros() -> None:
         "import sys\n"
         "for name in ('rclpy', 'std_msgs', 'geometry_msgs', 'sensor_msgs', 'builtin_interfaces', 'rclpy.node'):\n"
         "    sys.modules[name] = None\n"
-        "import finger_sim, finger_sim.simulation.replay, finger_sim.bags.reader, finger_sim.bags.imports\n"
+        "import finger_sim, finger_sim.simulation.replay, finger_sim.bags.reader, finger_sim.bags.imports.poses\n"
         "sim = finger_sim.Simulator(finger_sim.Scene.load('finger'))\n"
         "print(int(sim.step().status), any(n.startswith('finger_sim.ros') for n in sys.modules))\n"
     )

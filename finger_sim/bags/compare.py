@@ -2,85 +2,35 @@
 
 Bags that overlap in time are compared at the same log time; others count from their first command each (without
 one, from their first message). Each message of A is compared with B at its time, B being interpolated between its
-two messages around it; where both have the same times that is message by message.
+two messages around it; where both have the same times that is message by message. A topic with one message in each
+bag, as the topology of a mesh, holds for the whole bag.
 """
 
 from __future__ import annotations
 
-import dataclasses
+import hashlib
 import heapq
 import math
 from collections import deque
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-from rich.table import Table
-
-from ..console import table
 from ..errors import BagError
-from ..plain import plain
 from . import cdr
+from .comparison import Comparison, Difference, LeftOut, TopicComparison
+from .lag import LagMeter
 from .quantities import KINDS, TURN, Kind, Value, apart_by, largest_of
 from .reader import BagReader, Message, Topic, absolute
 
-
-@dataclass
-class Difference:
-    """How far one quantity of A and B is apart: of vectors the length, of turns the angle."""
-
-    quantity: str
-    unit: str
-    rms: float = 0.0
-    """Over the messages compared (and their points)."""
-    max: float = 0.0
-    """inf where the two cannot be compared: another frame, number of points, or not a number."""
-    max_time: float = 0.0
-    """Of the message with the largest difference, since the start of A [s]."""
-    peak: float = 0.0
-    """Largest value in A, of the messages compared."""
-
-
-@dataclass
-class TopicComparison:
-    """What is different on one topic."""
-
-    name: str
-    type: str
-    messages: tuple[int, int]
-    """In A and in B."""
-    identical: bool = True
-    """Whether bytes, times and numbers of all messages are the same."""
-    compared: int = 0
-    """Messages of A with a B to compare with."""
-    outside: tuple[int, int] = (0, 0)
-    """Messages of A and of B at times that the other does not hold."""
-    differences: list[Difference] = field(default_factory=list)
-    """Of the quantities in wrenches, poses, clouds and meshes; of other types none."""
-    first: str | None = None
-    """The first difference that counts, and when [s since the start of A]."""
-    equal: bool = True
-
-
-@dataclass
-class Comparison:
-    """What is different in two bags; `equal` when nothing that counts is."""
-
-    a: Path
-    b: Path
-    tolerance: float | None
-    topics: list[TopicComparison]
-    warnings: list[str]
-
-    @property
-    def equal(self) -> bool:
-        """Whether all topics are equal: bit by bit, or within the tolerance."""
-        return all(topic.equal for topic in self.topics)
-
-    def as_plain(self) -> dict[str, Any]:
-        """All of it for JSON; what is not finite is null."""
-        return {**plain({"equal": self.equal, **dataclasses.asdict(self)}), "a": str(self.a), "b": str(self.b)}
+LIVE = {
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "rcl_interfaces/msg/Log",
+    "rcl_interfaces/msg/ParameterEvent",
+    "visualization_msgs/msg/Marker",
+}
+"""Types of what only a live node writes: of itself and its machine, and for those who look on."""
+TIMED = {cdr.WRENCH_STAMPED, cdr.POSE_STAMPED}
+"""Types whose lag is told."""
 
 
 def compare(
@@ -90,14 +40,17 @@ def compare(
     topics: Collection[str] | None = None,
     tolerance: float | None = None,
     overlap: bool = False,
+    everything: bool = False,
 ) -> Comparison:
     """Compares the bag `b` with the bag `a`.
 
-    topics    : to compare, all of either if left out
-    tolerance : None: every message must be the same bit by bit, in bytes, times and number. Else the largest
-                difference in wrenches, poses, clouds and meshes, in their SI units, that still is equal; topics of
-                other types do not count then
-    overlap   : messages at times that only one of the bags holds do not count; needs a tolerance
+    topics     : to compare; if left out all of either, but for what only a live node writes, and for what is in one bag
+                 only and holds no wrench, pose, cloud or mesh: `left_out` names these
+    everything : compare them too
+    tolerance  : None: every message must be the same bit by bit, in bytes, times and number. Else the largest
+                 difference in wrenches, poses, clouds and meshes, in their SI units, that still is equal; topics of
+                 other types do not count then
+    overlap    : messages at times that only one of the bags holds do not count; needs a tolerance
     Raises BagError for a bag that cannot be read, a topic that neither has, and an overlap without a tolerance.
     """
     if overlap and tolerance is None:
@@ -105,15 +58,18 @@ def compare(
     readers = BagReader(a), BagReader(b)
     have: tuple[dict[str, Topic], ...] = tuple({absolute(t.name): t for t in reader.topics} for reader in readers)
     names = list(dict.fromkeys([*have[0], *have[1]]))
+    left_out = [] if topics is not None or everything else list(_left_out(names, have))
     if topics is not None:
         wanted = list(dict.fromkeys(absolute(topic) for topic in topics))
         for name in wanted:
             if name not in names:
                 raise BagError(f"{a}, {b}: no topic {name} in either; found {', '.join(names) or 'none'}")
         names = wanted
+    zeros = _zeros(readers)
+    overlapping = _overlap(readers, zeros)
     pairs = {}
     done = []
-    for name in names:
+    for name in (name for name in names if name not in {topic.name for topic in left_out}):
         one, other = (topics_of.get(name) for topics_of in have)
         known = one or other
         assert known is not None
@@ -126,23 +82,52 @@ def compare(
             out.identical = out.equal = False
             out.first = f"{one.type} in A, {other.type} in B"
         else:
-            pairs[name] = _Pair(out, (Path(a), Path(b)), tolerance)
-    for side, time, message in _merged(readers, pairs):
+            pairs[name] = _Pair(out, (Path(a), Path(b)), tolerance, overlapping)
+    for side, time, message in _merged(readers, pairs, zeros):
         pairs[absolute(message.topic)].take(side, time, message)
     for pair in pairs.values():
         pair.finish(overlap)
     warnings = [reader.warning for reader in readers if reader.warning]
-    return Comparison(Path(a), Path(b), tolerance, done, warnings)
+    return Comparison(Path(a), Path(b), tolerance, done, warnings, left_out)
 
 
-def _merged(readers: tuple[BagReader, BagReader], topics: Collection[str]) -> Iterator[tuple[int, int, Message]]:
+def _left_out(names: Collection[str], have: tuple[dict[str, Topic], ...]) -> Iterator[LeftOut]:
+    """What does not count unless it is asked for."""
+    for name in names:
+        one, other = (topics.get(name) for topics in have)
+        known = one or other
+        assert known is not None
+        place = "only in A" if other is None else "only in B" if one is None else ""
+        if known.type in LIVE:
+            reason = "only a live node writes it"
+        elif place and known.count == 0:
+            reason = f"{place}, without a message"
+        elif place and known.type not in KINDS:
+            reason = f"{place}, no wrench, pose, cloud or mesh"
+        else:
+            continue
+        yield LeftOut(name, known.type, (one.count if one else 0, other.count if other else 0), reason)
+
+
+def _zeros(readers: tuple[BagReader, BagReader]) -> tuple[int, int]:
+    """Log times [ns] of A and B that are the start of A."""
+    ours = readers[0].start_time or 0
+    if not _apart(*readers):
+        return ours, ours
+    begin, later = (_first_command(reader) or reader.start_time or 0 for reader in readers)
+    return ours, later - begin + ours
+
+
+def _overlap(readers: tuple[BagReader, BagReader], zeros: tuple[int, int]) -> int:
+    """Time that both bags cover [ns]."""
+    spans = [((r.start_time or 0) - zero, (r.end_time or 0) - zero) for r, zero in zip(readers, zeros, strict=True)]
+    return max(0, min(end for _, end in spans) - max(start for start, _ in spans))
+
+
+def _merged(
+    readers: tuple[BagReader, BagReader], topics: Collection[str], zeros: tuple[int, int]
+) -> Iterator[tuple[int, int, Message]]:
     """Messages of A (0) and B (1) on one time [ns] since the start of A, A first where both have the same."""
-    zeros = [reader.start_time or 0 for reader in readers]
-    if _apart(*readers):
-        begin = [_first_command(reader) or zero for reader, zero in zip(readers, zeros, strict=True)]
-        zeros[1] = begin[1] - begin[0] + zeros[0]
-    else:
-        zeros[1] = zeros[0]
 
     def stream(side: int) -> Iterator[tuple[int, int, Message]]:
         return ((side, message.log_time - zeros[side], message) for message in readers[side].messages(topics))
@@ -184,8 +169,10 @@ class _Moment:
 class _Pair:
     """One topic of both bags while its messages come in, in the order of time."""
 
-    def __init__(self, out: TopicComparison, paths: tuple[Path, Path], tolerance: float | None) -> None:
+    def __init__(self, out: TopicComparison, paths: tuple[Path, Path], tolerance: float | None, overlap: int) -> None:
         self.out, self.tolerance = out, tolerance
+        self._single = out.messages == (1, 1)
+        self._meter = LagMeter(overlap) if out.type in TIMED else None
         self._paths = paths
         self._kind = KINDS.get(out.type)
         out.differences = [Difference(*quantity) for quantity in self._kind.quantities] if self._kind else []
@@ -196,19 +183,24 @@ class _Pair:
         self._before: _Moment | None = None
         self._last_a: int | None = None
         self._numbers = [0, 0]
-        self._before_a = self._since_a = self._before_b = 0
+        self._before_a = self._since_a = self._before_b = self._after_b = 0
 
     def take(self, side: int, time: int, message: Message) -> None:
         """The next message of A (0) or B (1)."""
         self._numbers[side] += 1
         moment = _Moment(self._paths[side], time, self._numbers[side], message)
         if self.out.identical:
-            self._unpaired[side].append(moment)
+            digest = hashlib.blake2b(message.data, digest_size=16).digest()  # one bag may be far ahead of the other
+            self._unpaired[side].append(_Moment(moment.path, time, moment.number, message._replace(data=digest)))
             if self._unpaired[1 - side]:
                 self._match(*(queue.popleft() for queue in self._unpaired))
-        if side == 0:
+        if self._meter is not None and self._kind is not None:
+            self._meter.take(side, time, moment.value(self._kind).parts[0][0])
+        if self._single:
+            self._take_single(side, moment)
+        elif side == 0:
             self._last_a, self._since_a = time, 0
-            self._waiting.append(moment)
+            self._take_a(moment)
         else:
             self._before_a += self._last_a is None
             self._since_a += self._last_a is not None and time > self._last_a
@@ -222,8 +214,11 @@ class _Pair:
                 self._differs(queue[0], f"only in {'AB'[side]}")
         for i, difference in enumerate(out.differences):
             difference.rms = math.sqrt(self._squares[i] / self._rows[i]) if self._rows[i] else 0.0
-        after_b = len(self._waiting)
-        out.outside = (self._before_b + after_b, self._before_a + self._since_a) if out.compared else out.messages
+        out.before, out.after = (self._before_b, self._before_a), (self._after_b + len(self._waiting), self._since_a)
+        outside = out.before[0] + out.after[0], out.before[1] + out.after[1]
+        out.outside = outside if out.compared else out.messages
+        if self._meter is not None and all(math.isfinite(difference.max) for difference in out.differences):
+            out.lag = self._meter.lag()
         if self.tolerance is None:
             out.equal = out.identical
         elif self._kind is not None:
@@ -246,6 +241,26 @@ class _Pair:
             self.out.first = _when(moment, what)
         for queue in self._unpaired:
             queue.clear()
+
+    def _take_single(self, side: int, moment: _Moment) -> None:
+        """The only message of a bag: at whatever time, it is compared with the only one of the other."""
+        self._waiting.append(moment)
+        if len(self._waiting) == 2:
+            other = self._waiting.popleft()
+            a, b = (moment, other) if side == 0 else (other, moment)
+            self._waiting.clear()
+            self._compare(a, b, b, 0.0)
+
+    def _take_a(self, moment: _Moment) -> None:
+        """Has it wait for B, where B may still come to its time; of those before B only the newest can have it."""
+        before, waiting = self._before, self._waiting
+        if before is not None and self._numbers[1] == self.out.messages[1] and moment.time > before.time:
+            self._after_b += 1
+            return
+        while before is None and waiting and waiting[0].time < moment.time:
+            waiting.popleft()
+            self._before_b += 1
+        waiting.append(moment)
 
     def _take_b(self, after: _Moment) -> None:
         """Compares what of A waits for B up to the time of `after`; of equal times one with one."""
@@ -289,33 +304,3 @@ _WORDS = {"data": "bytes", "log_time": "log time", "publish_time": "publish time
 
 def _when(moment: _Moment, what: str) -> str:
     return f"{what} at {1e-9 * moment.time:.6f} s (message {moment.number})"
-
-
-def verdict(found: Comparison) -> tuple[Table, str]:
-    """A table of what differs, and the verdict in words."""
-    rows = table(
-        "topic", "messages of A", "of B", "compared", "identical", "quantity", "rms", "max", "at [s]", "peak of A",
-        "first difference",
-    )  # fmt: skip
-    for topic in found.topics:
-        head = (topic.name, *map(str, topic.messages), str(topic.compared), "yes" if topic.identical else "no")
-        first = topic.first or ""
-        shown = [_numbers(difference) for difference in topic.differences] if topic.compared else []
-        for numbers in shown or [("",) * 5]:
-            rows.add_row(*head, *numbers, first)
-            head, first = ("",) * 5, ""
-    how = "bit by bit" if found.tolerance is None else f"within {found.tolerance:g}"
-    different = [topic.name for topic in found.topics if not topic.equal]
-    return rows, f"not equal {how}: {', '.join(different)}" if different else f"equal {how}"
-
-
-def _numbers(difference: Difference) -> tuple[str, ...]:
-    unit = "" if difference.unit == "1" else f" {difference.unit}"
-    at = f"{difference.max_time:.6f}" if difference.max > 0.0 else ""
-    return (
-        difference.quantity,
-        f"{difference.rms:.3g}{unit}",
-        f"{difference.max:.3g}{unit}",
-        at,
-        f"{difference.peak:.3g}{unit}",
-    )

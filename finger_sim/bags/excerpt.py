@@ -102,19 +102,20 @@ class Excerpt:
                 yield message, f"message {number}: {pose}"
 
 
-class Newest:
-    """Poses in the order of their receipt, asked for the newest."""
+class Arrivals:
+    """Poses in the order of their receipt, asked for what came."""
 
     def __init__(self, poses: Iterator[Received]) -> None:
         self._poses = poses
         self._next = next(poses, None)
 
-    def received_by(self, log_time: int) -> Received | None:
-        """The newest of those received by then [ns] that were not asked for before; None if none was."""
-        newest = None
+    def up_to(self, log_time: int) -> list[Received]:
+        """Those received by then [ns] that were not asked for before."""
+        came = []
         while self._next is not None and self._next.log_time <= log_time:
-            newest, self._next = self._next, next(self._poses, None)
-        return newest
+            came.append(self._next)
+            self._next = next(self._poses, None)
+        return came
 
 
 def commands_in(reader: BagReader, topic: str | None = None) -> tuple[Excerpt, Tally]:

@@ -15,11 +15,15 @@ from .mcap_files import McapSource
 from .message import Message, Source, Topic
 from .metadata import CUT, origin_in
 
+ROS1_MAGIC = b"#ROSBAG V"
+"""What bags of ROS 1 begin with."""
+
 
 def open_source(path: Path) -> Source:
     """The reader for what lies at `path`."""
     try:
         if path.is_file():
+            _refuse_ros1(path)
             return _RosbagsSource(path) if path.suffix == ".db3" else McapSource([path])
         if not path.is_dir():
             raise BagError(f"{path}: no such bag; give a rosbag2 folder or an .mcap file")
@@ -35,6 +39,14 @@ def open_source(path: Path) -> Source:
     except OSError as error:
         raise BagError(f"{error.filename or path}: cannot be read: {error.strerror}") from None
     raise BagError(f"{path}: not a bag: holds neither metadata.yaml nor an .mcap file")
+
+
+def _refuse_ros1(path: Path) -> None:
+    """Raises BagError for a bag of ROS 1, with what converts it."""
+    with path.open("rb") as stream:
+        if stream.read(len(ROS1_MAGIC)) == ROS1_MAGIC:
+            ours, theirs = f"finger_sim import {path} -o NAME", f"rosbags-convert --src {path} --dst FOLDER"
+            raise BagError(f"{path}: a ROS 1 bag: `{ours}` makes a bag of its poses, `{theirs}` one of all topics")
 
 
 def _open_folder(path: Path, information: dict[str, Any]) -> Source:
@@ -109,7 +121,7 @@ class _RosbagsSource:
 
 
 class _Reporting:
-    """Turns the errors of `rosbags` and sqlite3 into BagError."""
+    """Turns whatever broken bytes make `rosbags` and its databases raise into BagError."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -119,9 +131,5 @@ class _Reporting:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        import sqlite3
-
-        from rosbags.rosbag2 import ReaderError
-
-        if isinstance(error, ReaderError | sqlite3.Error | OSError | KeyError | TypeError | ValueError):
+        if isinstance(error, Exception) and not isinstance(error, BagError):
             raise BagError(f"{self.path}: cannot be read: {error}") from None

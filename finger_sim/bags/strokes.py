@@ -6,10 +6,8 @@ frame: e1 = x to the tip, e2 = y to the nail, e3 = z across.
 
 from __future__ import annotations
 
-import argparse
 import math
 import random
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,17 +15,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FingerSimError
+from ..console import make_files
 from ..physics.rotations import matrix, normalised
 from ..scene.mesh import TetMesh
 from ..scene.resources import shipped
-from .imports import ImportSummary, import_csv
 from .reader import START, write_commands
 
 __all__ = [
-    "ImportSummary",
     "Stroke",
-    "import_csv",
     "make_bags",
     "minimum_jerk",
     "touch_height",
@@ -162,15 +157,8 @@ def make_bags(folder: str | Path, mesh: TetMesh | None = None) -> list[Path]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Makes the shipped bags in a folder."""
-    parser = argparse.ArgumentParser(prog="python -m finger_sim.bags.strokes", description=main.__doc__)
-    parser.add_argument("folder", type=Path, help="where to put press_flat, press_side and press_slide")
-    try:
-        for path in make_bags(parser.parse_args(arguments).folder):
-            print(path)
-    except FingerSimError as error:
-        print(error, file=sys.stderr)
-        return 1
-    return 0
+    place = "where to put press_flat, press_side and press_slide"
+    return make_files("finger_sim.bags.strokes", "Makes the shipped bags in a folder.", place, make_bags, arguments)
 
 
 if __name__ == "__main__":

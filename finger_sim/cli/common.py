@@ -17,13 +17,14 @@ def verb(
     what: str,
     example: str,
     usage: str | None = None,
+    more: str = "",
 ) -> argparse.ArgumentParser:
-    """A subcommand, with what it does and an example in its help."""
+    """A subcommand, with what it does, `more` on it, and an example in its help."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         name,
         usage=usage,
         help=what,
-        description=f"{what[0].upper()}{what[1:]}.",
+        description=f"{what[0].upper()}{what[1:]}.\n{more}".rstrip(),
         epilog=f"example:\n  {example}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -37,7 +37,7 @@ def add_mesh(verbs: Any) -> None:
 
 def _mesh(options: argparse.Namespace) -> int:
     from ..bags.reader import require_absent
-    from ..console import console
+    from ..console import show
     from ..pictures.info import info
     from ..scene.meshing import write_mesh
 
@@ -47,5 +47,5 @@ def _mesh(options: argparse.Namespace) -> int:
     asked = {name: value for name, value in given.items() if value is not None}
     write_mesh(options.kind, options.out, **asked)
     for title, table in info(str(options.out)):
-        console().print(title, table, sep="\n")
+        show(title, table)
     return DONE

@@ -19,6 +19,8 @@ def add_demo(verbs: Any) -> None:
         _demo,
         "the main job: node, commands over ROS 2, recording, picture, table",
         "finger_sim demo --duration 3 --out first_touch",
+        more="Node and commands meet in a ROS domain of their own: a free one, on this machine\n"
+        "only. ROS_DOMAIN_ID is not looked at, and no other node is met or disturbed.",
     )
     add = demo.add_argument
     add("--scene", default="finger_haptic", help="scene to simulate (default: %(default)s)")
@@ -49,7 +51,7 @@ def add_demo(verbs: Any) -> None:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    from ..console import console, say
+    from ..console import say, show
     from ..ros.demo import DemoError, run_demo
 
     try:
@@ -60,7 +62,7 @@ def _demo(options: argparse.Namespace) -> int:
     except DemoError as error:
         say(f"finger_sim: the demo failed: {error}")
         return FAILED
-    console().print(outcome.table())
+    show(outcome.table())
     for shortfall in outcome.shortfalls:
         say(f"finger_sim: not held by this machine: {shortfall}")
     for advice in outcome.advice:
@@ -91,8 +93,9 @@ def add_run(verbs: Any) -> None:
     add("--topic", help="topic of the commands in the bag")
     add(
         "--mode",
-        choices=("free", "triggered"),
-        help="triggered: one step for each command (default: as recorded; with SCENE: free)",
+        choices=("free", "triggered", "recorded"),
+        help="free: steps on a clock; triggered: one for each command; recorded: those that the node made, late and "
+        "skipped ones too (default: as IN was made; with SCENE: free)",
     )
     add("--plane-topic", help="topic of the plane's poses in the bag (default: plane_pose, if it is there)")
     add(
@@ -112,9 +115,13 @@ def add_run(verbs: Any) -> None:
     )
 
 
+SET_DOWN = "put on the plane above, from there in 0.1 s"
+"""What is said of a finger whose first command is inside the plane."""
+
+
 def _run(options: argparse.Namespace) -> int:
     from ..bags.reader import require_absent
-    from ..console import console, gauge, say, table
+    from ..console import gauge, say, show, table
     from ..scene import Scene
     from ..scene.resources import find_bag, find_scene
     from ..simulation.replay import Replay, Selection
@@ -143,6 +150,7 @@ def _run(options: argparse.Namespace) -> int:
         ("commands", f"{done.commands} on {done.topic}, {done.refused} refused"),
         *moved,
         *_recorded(done),
+        *([("start", f"{1e3 * done.set_down_by:.2f} mm inside the plane: {SET_DOWN}")] if done.set_down_by else []),
         ("simulated", f"{done.duration:.3f} s in {done.steps} steps"),
         ("real-time factor", f"{done.real_time_factor:.2f}"),
         ("step time", f"median {1e3 * done.step_median:.3f} ms, p99 {1e3 * done.step_p99:.3f} ms"),
@@ -154,7 +162,7 @@ def _run(options: argparse.Namespace) -> int:
         ("bag", str(done.out)),
     ):
         rows.add_row(*row)
-    console().print(rows)
+    show(rows)
     return DONE
 
 
@@ -228,6 +236,8 @@ def add_node(verbs: Any) -> None:
         _node,
         "the ROS 2 node in the foreground, as finger_node of `ros2 run`",
         "finger_sim node --ros-args -p scene:=finger -p record:=touch -r command_pose:=/device/pose",
+        more="Its loop gets priority 20 of SCHED_FIFO where the system permits it, none with\n"
+        "-p realtime_priority:=0. Its log says which it has, and how to permit it.",
         usage="finger_sim node [-h] [--ros-args …]",
     )
 

@@ -34,7 +34,7 @@ def add_bench(verbs: Any) -> None:
 def _bench(options: argparse.Namespace) -> int:
     import dataclasses
 
-    from ..console import console
+    from ..console import show
     from ..studies.bench.bench import QUICK, Options, bench
     from ..studies.bench.report import NOTES, PICTURES, draw, require_writable, sections, write_json
 
@@ -55,9 +55,9 @@ def _bench(options: argparse.Namespace) -> int:
     report = bench(what)
     report.machine["command"] = shlex.join(["finger_sim", *options.given])
     for title, rows in sections(report):
-        console().print(title, rows, "", sep="\n")
+        show(title, rows, "")
     for note in NOTES:
-        console().print(note, soft_wrap=True)
+        show(note)
     if options.json:
         write_json(report, options.json)
     if options.plot:
@@ -85,7 +85,7 @@ def add_figures(verbs: Any) -> None:
 
 
 def _figures(options: argparse.Namespace) -> int:
-    from ..console import console, table
+    from ..console import show, table
     from ..studies.paper.figures import FIGURES, figures
 
     for made in figures(options.only or list(FIGURES), options.out):
@@ -93,7 +93,7 @@ def _figures(options: argparse.Namespace) -> int:
         for finding in made.findings:
             verdict = {True: "agrees", False: "differs", None: ""}[finding.agrees]
             rows.add_row(finding.paper, finding.measured, verdict, finding.reason)
-        console().print(f"{made.name}: {made.picture}, {made.data}", rows, "", sep="\n")
+        show(f"{made.name}: {made.picture}, {made.data}", rows, "")
     return DONE
 
 
@@ -121,7 +121,7 @@ def add_stress(verbs: Any) -> None:
 
 
 def _stress(options: argparse.Namespace) -> int:
-    from ..console import console, gauge, say
+    from ..console import gauge, say, show
     from ..studies.stress.stress import Options, failures, stress, summary
 
     what = Options(options.cases, options.seed, options.minutes, options.long, options.out)
@@ -131,7 +131,7 @@ def _stress(options: argparse.Namespace) -> int:
         require_writable(options.plot, "--plot", PICTURES)
     with gauge(f"stress: {what.cases} random cases of seed {what.seed}, and the directed ones") as meter:
         report = stress(what, meter)
-    console().print(summary(report))
+    show(summary(report))
     if options.plot:
         from ..studies.stress.stress import draw
 
@@ -140,7 +140,7 @@ def _stress(options: argparse.Namespace) -> int:
         say(f"finger_sim: {report.left_out} cases left out: out of time")
     if not report.failed:
         return DONE
-    console().print("", failures(report), sep="\n")
+    show("", failures(report))
     for folder in report.written:
         say(f"finger_sim: to see it again: {folder}")
     return FAILED
@@ -198,7 +198,7 @@ def add_tradeoff(verbs: Any) -> None:
 def _tradeoff(options: argparse.Namespace) -> int:
     if options.for_rate is not None:
         return _for_rate(options)
-    from ..console import console, say
+    from ..console import say, show
     from ..studies.tradeoff.grid import DEFAULT, Grid
     from ..studies.tradeoff.table import summary
     from ..studies.tradeoff.tradeoff import SCENES, Options, tradeoff
@@ -213,15 +213,15 @@ def _tradeoff(options: argparse.Namespace) -> int:
         out=options.out,
     )
     report = tradeoff(what)
-    console().print(summary(report.rows))
-    console().print("", *(str(path) for path in (report.table, *report.pictures)), sep="\n")
+    show(summary(report.rows))
+    show("", *(str(path) for path in (report.table, *report.pictures)))
     for failure in report.failed:
         say(f"finger_sim: not run: {failure}")
     return FAILED if report.failed else DONE
 
 
 def _for_rate(options: argparse.Namespace) -> int:
-    from ..console import console, gauge, say
+    from ..console import gauge, say, show
     from ..studies.tradeoff.rate import for_rate, tried, words
 
     for name in ("grid", "scheduler", "workers"):
@@ -233,9 +233,9 @@ def _for_rate(options: argparse.Namespace) -> int:
     bag = options.bag[0] if options.bag else None
     with gauge(f"{scenes[0]}: settings that hold {options.for_rate:g} Hz on this machine") as meter:
         found = for_rate(scenes[0], options.for_rate, bag, options.duration, options.out, meter)
-    console().print(tried(found))
+    show(tried(found))
     if found.scene is None:
         say(f"finger_sim: nothing holds {options.for_rate:g} Hz here; the nearest: {words(found.best)}")
         return FAILED
-    console().print("", str(found.scene), sep="\n")
+    show("", str(found.scene))
     return DONE

@@ -84,10 +84,11 @@ def usable(scene: Scene, mesh: TetMesh) -> tuple[Rung, ...]:
 def fingerprint(scene: Scene, mesh: TetMesh) -> str:
     """Of all values that decide how large a rung's error is; wherever the mesh's file lies.
 
-    A body that sleeps is not stepped, a budget leads to rungs and is none, and motions have a start of their own.
+    A body that sleeps is not stepped, a budget leads to rungs and is none, motions have a start of their own, and a
+    command for every step is followed at once.
     """
     values: dict[str, Any] = scene.to_dict()
-    del values["mesh"], values["initial_pose"]
+    del values["mesh"], values["initial_pose"], values["coupling"]["following"]
     values["solver"] = {key: value for key, value in values["solver"].items() if key not in ("budget_ms", "sleep")}
     whole = hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode())
     driven = scene.driven_nodes(mesh)

@@ -2,7 +2,7 @@
 
 Kinematic coupling: the driven nodes follow the commanded pose exactly. Virtual coupling: they are a rigid body on a
 damped spring to it (physics/bone.py). Both no faster than the scene allows, so that a jump of the command (a tracker
-that re-acquires, a first message from afar) gives a bounded motion.
+that re-acquires, a first message from afar) gives a bounded motion. How commands become a path: following.py.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ from ..scene import Coupling, Pose, Vec3, place
 
 LONGEST_GAP = 0.1
 """Most time that a command, or a target of the plane, counts as having taken since the one before [s]."""
+
+TOUCHING = 1e-6
+"""Depth up to which a body at rest only touches a plane [m]."""
 
 
 def follow(coupling: Coupling, pose: Pose, command: Pose, dt: float) -> tuple[Pose, bool]:
@@ -46,15 +49,23 @@ def stop_at_plane(normal: Vec3, point: Vec3, centre: Vec3, start: Pose, end: Pos
     return between(start, end, before / (before - after) if before > 0.0 else 0.0), True
 
 
-def set_down(normal: Vec3, point: Vec3, centre: Vec3, points: Floats, pose: Pose) -> Pose:
-    """`pose`, or where the bone's centre is past the plane there: the one right above it whose body touches the plane.
+def set_down(normal: Vec3, point: Vec3, centre: Vec3, skin: Floats, pose: Pose) -> Pose:
+    """`pose`, or where the bone's centre is past the plane there: the one right above it whose skin touches the plane.
 
-    For a bone that yields: contact would throw it out at its depth over dt. points: (n, 3) of the body, as read [m].
+    For a bone that yields: contact would throw it out at its depth over dt. skin: see `outside`.
     """
-    if _height(normal, point, centre, pose) >= 0.0:
+    return pose if _height(normal, point, centre, pose) >= 0.0 else outside(normal, point, skin, pose)
+
+
+def outside(normal: Vec3, point: Vec3, skin: Floats, pose: Pose) -> Pose:
+    """`pose`, or where a body at rest would be in the plane there: the one right above it where it touches the plane.
+
+    normal: unit, outward; point: of the plane [m], world. skin: (n, 3) nodes that meet the plane, as read [m].
+    """
+    depth = float(np.dot(normal, point) - (place(skin, pose) @ np.array(normal)).min(initial=math.inf))
+    if not depth > TOUCHING:
         return pose
-    lowest = float((place(points, pose) @ np.array(normal)).min() - np.dot(normal, point))
-    x, y, z = (c - lowest * n for c, n in zip(pose.position, normal, strict=True))
+    x, y, z = (c + depth * n for c, n in zip(pose.position, normal, strict=True))
     return Pose((x, y, z), pose.orientation)
 
 

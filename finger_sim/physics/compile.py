@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import dis
 import hashlib
 import importlib.machinery
 import logging
@@ -16,7 +17,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -25,7 +26,8 @@ import llvmlite
 import llvmlite.binding
 import numba
 import numpy as np
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
+from numba.core.dispatcher import Dispatcher
 
 from . import lowering  # noqa: F401  (lanes mean nothing to the compiler without it)
 from .folders import UnsafeError, alone, use
@@ -46,9 +48,13 @@ OPTIONS = (
 DONE = "compiled"
 """Stands in a folder whose kernels a simulator once had all."""
 LOCK = "compiling"
+STEP = 5
+"""Per cent of the kernels after which it is told anew how many are compiled."""
 
 _PACKAGE = Path(__file__).parents[1]
 _log = logging.getLogger(__name__)
+_watchers: list[Callable[[Any], None]] = []
+"""Are told each Python function that was compiled or loaded."""
 
 
 @cache
@@ -114,15 +120,18 @@ def compiled_before() -> bool:
 
 
 @contextlib.contextmanager
-def compiling(tell: Callable[[str], None]) -> Iterator[None]:
+def compiling(tell: Callable[[str], None], kernels: Iterable[Any] = ()) -> Iterator[None]:
     """For a block that calls every kernel once: says what goes on, and keeps two processes from compiling the same.
 
     The second waits for the first, and then loads what that one compiled.
+
+    kernels : those that the block calls; while they compile it is said how many of them and of what they call are done
     """
     folder = None if numba.config.DISABLE_JIT else cache_folder()
     if folder is None:
-        tell("kernels run uncompiled" if numba.config.DISABLE_JIT else "compiling kernels: up to a minute, not kept")
-        yield
+        tell("kernels run uncompiled" if numba.config.DISABLE_JIT else "compiling kernels: a minute or two, not kept")
+        with _counted(tell, kernels):
+            yield
     elif compiled_before():
         tell("loading compiled kernels")
         yield
@@ -130,10 +139,51 @@ def compiling(tell: Callable[[str], None]) -> Iterator[None]:
         with alone(folder / LOCK, lambda: tell("compiling kernels: another process is at it, waiting for its end")):
             before = compiled_before()
             tell("loading compiled kernels" if before else "compiling kernels: once on this machine for these sources, "
-                 "up to a minute")  # fmt: skip
-            yield
+                 "a minute or two")  # fmt: skip
+            with _counted(tell, () if before else kernels):
+                yield
             with contextlib.suppress(OSError):
                 (folder / DONE).touch()
+
+
+def called(functions: Iterable[Any]) -> set[Any]:
+    """Python functions of kernels, and of all kernels that these call by a name of their module."""
+    found, waiting = set[Any](), [*functions]
+    while waiting:
+        function = waiting.pop()
+        if function not in found:
+            found.add(function)
+            waiting += _called_by(function)
+    return found
+
+
+@cache
+def _called_by(function: Any) -> list[Any]:
+    """Those that it calls itself."""
+    names = {instruction.argval for instruction in dis.get_instructions(function) if "GLOBAL" in instruction.opname}
+    named = (function.__globals__.get(name) for name in names)
+    return [kernel.py_func for kernel in named if isinstance(kernel, Dispatcher)]
+
+
+@contextlib.contextmanager
+def _counted(tell: Callable[[str], None], kernels: Iterable[Any]) -> Iterator[None]:
+    """Tells how many of the kernels and of those that they call are compiled, in per cent."""
+    missing = called(kernel.py_func for kernel in kernels if isinstance(kernel, Dispatcher))
+    total, due = len(missing), STEP
+
+    def watch(function: Any) -> None:
+        nonlocal due
+        missing.difference_update(called([function]))
+        percent = 100 * (total - len(missing)) // max(total, 1)
+        if total and percent >= due:
+            due = percent - percent % STEP + STEP
+            tell(f"compiling kernels: {percent} % of {total}")
+
+    _watchers.append(watch)
+    try:
+        yield
+    finally:
+        _watchers.remove(watch)
 
 
 def kernel(function: Function) -> Function:
@@ -164,8 +214,8 @@ def _compiled(function: Function, called_from_python: bool, inline: bool = False
         no_cpython_wrapper=not called_from_python,
         forceinline=inline,
     )(function)
-    if not numba.config.DISABLE_JIT and cache_folder() is not None:
-        compiled._cache = _Cache(function)
+    if not numba.config.DISABLE_JIT:
+        compiled._cache = _NoCache(function) if cache_folder() is None else _Cache(function)
     return cast(Function, compiled)
 
 
@@ -208,15 +258,35 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         try:
-            return super().load_overload(signature, target_context)
+            loaded = super().load_overload(signature, target_context)
         except OSError:
             return None
+        if loaded is not None:
+            _is_there(self._py_func)
+        return loaded
 
     def save_overload(self, signature: Any, result: Any) -> None:
         try:
             super().save_overload(signature, result)
         except OSError as error:
             _cannot_keep(str(error))
+        _is_there(self._py_func)
+
+
+class _NoCache(NullCache):  # type: ignore[misc]
+    """Where there is no folder: nothing is kept, but what was compiled is known."""
+
+    def __init__(self, function: Any) -> None:
+        self._function = function
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        _is_there(self._function)
+
+
+def _is_there(function: Any) -> None:
+    """The machine code of a Python function is in this process."""
+    for watcher in _watchers:
+        watcher(function)
 
 
 @cache

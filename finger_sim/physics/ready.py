@@ -43,6 +43,8 @@ def _pointers_to(record: Any) -> Callable[[Any], Any]:
 
 
 _POINTERS = {record: _pointers_to(record) for record in (Model, State, Newton, Pgs, Yielding, Principal, Tensor)}
+KERNELS = (*_POINTERS.values(), step, all_strains)
+"""What `ready`, `advance`, `refresh` and `measure_strains` call: these, and what these call."""
 
 
 def _pointer(record: Any) -> Any:

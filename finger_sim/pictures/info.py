@@ -11,10 +11,11 @@ import numpy as np
 from rich.table import Table
 
 from ..bags.changes import changes_in
+from ..bags.course import Course, doubts, figures, rows
 from ..bags.origin import SHOWN_DIGITS, read_origin
-from ..bags.reader import BagReader
+from ..bags.reader import BagReader, command_topic, commands_of
 from ..console import table
-from ..errors import FingerSimError
+from ..errors import BagError, FingerSimError
 from ..physics.locking import STIFF_BULK, STRAINS
 from ..scene import Limits, Plane, Scene, locking
 from ..scene.fields import to_dict
@@ -75,6 +76,26 @@ def _bag(path: Path) -> Iterator[tuple[str, Table]]:
             str(topic.lost),
         )
     yield "topics", topics
+    yield from _commands(reader)
+
+
+def _commands(reader: BagReader) -> Iterator[tuple[str, Table]]:
+    """The commands of a bag by times of receipt, as the node follows them; nothing where there are none."""
+    try:
+        topic = command_topic(reader, None)
+        commands = commands_of(reader, topic)
+    except BagError:
+        return
+    found = figures(Course(commands.receipt_ns, commands.position, commands.orientation))
+    steps = np.diff(commands.stamp)
+    facts = rows(found)
+    facts["header stamps"] = f"{int((steps == 0.0).sum())} repeated, {int((steps < 0.0).sum())} fall"
+    if commands.refused:
+        facts["refused"] = f"{commands.refused}; {commands.refusal}"
+    out = _pairs(facts)
+    for doubt in doubts(found):
+        out.add_row("warning", doubt)
+    yield f"commands on {topic} in frame {commands.frame_id!r}, by times of receipt", out
 
 
 def _origin(reader: BagReader) -> dict[str, str]:

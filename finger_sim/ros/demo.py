@@ -35,16 +35,14 @@ RATE = 1000.0
 """Steps a second [Hz]."""
 FOLDER = "finger_sim_demo"
 READY_TIMEOUT = 300.0
-"""Longest time that a node may take to its first step [s]; compiling takes up to a minute."""
-PATIENCE = 5.0
-"""Time after which a start that takes long is spoken of again [s]."""
+"""Longest time that a node may take to its first step [s]; compiling takes a minute or two."""
 REPORT_TIMEOUT = 15.0
 """Longest time between two messages on /diagnostics of a living node [s]."""
 END_TIMEOUT = 15.0
 """Longest time that the node may take to close its bag and end [s]."""
 FLOOR_TIME = 2.0
 """How long the bare loop is watched [s]; no longer than the commands."""
-PRIORITY = 20
+PRIORITY = NodeOptions().realtime_priority
 """Of the node's loop and of the bare one under SCHED_FIFO, where the system permits it."""
 
 
@@ -78,8 +76,9 @@ def run_demo(
     folder = _make_folder(out)
     recording, log = folder / "recording", folder / "node.log"
     frame = commands.frame_id or "world"
-    if priority and not _permits(priority):
-        say(f"real-time priority {priority} is not permitted here: the loops run as any other thread")
+    refused = _refusal(priority)
+    if refused is not None:
+        say(refused)
         priority = 0
     parameters = {
         "scene": str(find_scene(scene).resolve()),
@@ -155,18 +154,14 @@ class _Reports:
 
     def await_ready(self) -> None:
         """Until the node simulates; relays what it is doing. Raises DemoError when it does not get there."""
-        doing, begin = "", time.monotonic()
-        due = begin + PATIENCE
-        while (now := time.monotonic()) < begin + READY_TIMEOUT:
+        doing, end = "", time.monotonic() + READY_TIMEOUT
+        while time.monotonic() < end:
             for report in self._spin():
                 if any(item.key == "steps" for item in report.status[0].values):
                     return
                 if report.status[0].message != doing:
                     doing = report.status[0].message
                     say(f"the node is {doing}")
-            if now >= due:
-                due += PATIENCE
-                say(f"the node is {doing or 'loading'} ({now - begin:.0f} s)")
         raise DemoError(f"the node was not ready within {READY_TIMEOUT:g} s; see {self._log}")
 
     def await_next(self) -> None:
@@ -220,22 +215,15 @@ def _node_process(parameters: Mapping[str, Any], domain: int, log: Path) -> Iter
                 process.wait()
 
 
-def _permits(priority: int) -> bool:
-    """Whether a thread of this user may have a priority of SCHED_FIFO; tried by one that ends at once."""
+def _refusal(priority: int) -> str | None:
+    """Why a thread of this user cannot have a priority of SCHED_FIFO; tried by one that ends at once."""
     from .loop import prefer_this_thread
 
-    refusals: list[OSError] = []
-
-    def attempt() -> None:
-        try:
-            prefer_this_thread(priority)
-        except OSError as error:
-            refusals.append(error)
-
-    thread = threading.Thread(target=attempt)
+    refusals: list[str | None] = []
+    thread = threading.Thread(target=lambda: refusals.append(prefer_this_thread(priority)))
     thread.start()
     thread.join()
-    return not refusals
+    return refusals[0]
 
 
 def require_ros() -> None:

@@ -12,7 +12,7 @@ from .graph_watch import GraphWatch
 from .inbox import Inbox
 from .loop import Loop, StepCounts
 from .outputs import Outputs
-from .stepper import Stepper, Window
+from .stepper import DOUBTFUL, Stepper, Window
 
 STALL = 0.5
 """Time without a step after which the loop counts as stalled [s]."""
@@ -116,8 +116,8 @@ class Reporter:
         if progress.overruns > before.overruns:
             what = "steps skipped" if free else "commands dropped: they come faster than steps are made"
             problems.append((1, f"{progress.overruns - before.overruns} {what}"))
-        if window.status:
-            problems.append((1, f"{window.status.name} in {window.troubled} of {window.steps} steps"))
+        if window.doubtful:
+            problems.append((1, f"{(window.status & DOUBTFUL).name} in {window.doubtful} of {window.steps} steps"))
 
     def _rung(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
         budget, rungs, scene = self._stepper.budget, self._stepper.rungs, self._stepper.scene
@@ -140,7 +140,7 @@ class Reporter:
         values["refused commands"] = str(refused)
         if refused:
             values["last refusal"] = reason
-        if self._stepper.stale:
+        if self._stepper.rendering.stale:
             problems.append((1, "command is stale: holding the pose"))
         if refused > self._refused:
             problems.append((1, f"{refused - self._refused} commands refused: {reason}"))

@@ -40,12 +40,17 @@ class Command(NamedTuple):
     """A command that passed the check."""
 
     pose: Pose
-    received: float
-    """Steady time of receipt [s]."""
+    received_ns: int
+    """Steady time of receipt [ns]."""
     transport: float = 0.0
     """Time from its stamp to its receipt by the node's clock [s]; 0 where the stamp cannot be of the same clock."""
     stamp: int = 0
     """Of its header [ns]; 0: none."""
+
+    @property
+    def received(self) -> float:
+        """Steady time of receipt [s]."""
+        return 1e-9 * self.received_ns
 
 
 class Inbox:
@@ -88,33 +93,36 @@ class Inbox:
         with self._lock:
             return self.received, self.refused, self.reason
 
-    def commands(self) -> list[Command]:
-        """The good ones that came since the last look, in their order; others are counted, the first is logged."""
+    def commands(self, now: int | None = None) -> list[Command]:
+        """The good ones that came since the last look, in their order; others are counted, the first is logged.
+
+        now: steady time of this look [ns], by which all that is taken came, and after which all else comes.
+        """
         with self._lock:
-            taken = self._take(self._commands)
+            taken = self._take(self._commands, now)
             if not taken:
                 return []
             self.received += len(taken)
-            now, clock = time.monotonic_ns(), self._clock.now().nanoseconds
+            present, clock = time.monotonic_ns(), self._clock.now().nanoseconds
             good = []
             for data, received in taken:
                 accepted = self._accepted(data, "command")
                 if accepted is not None:
                     pose, stamp = accepted
-                    transport = 1e-9 * (clock - stamp - (now - received))
+                    transport = 1e-9 * (clock - stamp - (present - received))
                     known = 0.0 <= transport <= MOST_TRANSPORT
-                    good.append(Command(pose, 1e-9 * received, transport if known else 0.0, stamp))
+                    good.append(Command(pose, received, transport if known else 0.0, stamp))
             return good
 
-    def plane(self) -> Pose | None:
-        """The newest good pose of the plane that came since the last look."""
+    def plane(self, now: int | None = None) -> Pose | None:
+        """The newest good pose of the plane that came since the last look; `now` as for commands."""
         with self._lock:
-            good = [self._accepted(data, "plane_pose") for data, _ in self._take(self._plane)]
+            good = [self._accepted(data, "plane_pose") for data, _ in self._take(self._plane, now)]
             return next((accepted[0] for accepted in reversed(good) if accepted is not None), None)
 
-    def _take(self, subscription: _Subscription) -> list[tuple[bytes, int]]:
+    def _take(self, subscription: _Subscription, now: int | None) -> list[tuple[bytes, int]]:
         """What came on it, recorded if there is a recording."""
-        taken, recorder = subscription.take(), self._outputs.recorder
+        taken, recorder = subscription.take(now), self._outputs.recorder
         if recorder is not None:
             for data, received in taken:
                 recorder.put(subscription.name, data, received)
@@ -152,16 +160,16 @@ class _Subscription:
         self.name = str(self.entity.topic_name)
         self._looked = time.monotonic_ns()
 
-    def take(self) -> list[tuple[bytes, int]]:
+    def take(self, now: int | None = None) -> list[tuple[bytes, int]]:
         """What came since the last call: CDR bytes, and the steady time of receipt [ns].
 
-        The middleware tells the time of receipt by the wall clock. When that jumps, a message still did not come
-        before the last look at all that there was.
+        The middleware tells the time of receipt by the wall clock. Whatever that does, a message came after the last
+        look at all that there was, and by the present one: so a replay knows what each step had heard.
         """
         out: list[tuple[bytes, int]] = []
         while (taken := take(self.entity)) is not None:
-            now = time.monotonic_ns()
-            age = min(max(time.time_ns() - taken[1], 0), now - self._looked)
-            out.append((taken[0], now - age))
-        self._looked = time.monotonic_ns()
+            present = time.monotonic_ns()
+            received = max(present - max(time.time_ns() - taken[1], 0), self._looked + 1)
+            out.append((taken[0], received if now is None else min(received, now)))
+        self._looked = time.monotonic_ns() if now is None else now
         return out

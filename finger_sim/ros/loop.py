@@ -17,6 +17,7 @@ import ctypes
 import json
 import math
 import os
+import pwd
 import sys
 import threading
 import time
@@ -96,7 +97,7 @@ class Loop:
     lateness  : times from when steps should have begun until they did [s]
     """
 
-    def __init__(self, prepare: Callable[[], None]) -> None:
+    def __init__(self, prepare: Callable[[], object]) -> None:
         self.error: Exception | None = None
         self.step_time = Recent()
         self.lateness = Recent()
@@ -172,7 +173,7 @@ class Loop:
 class RateLoop(Loop):
     """Calls `tick` every `period` [s]."""
 
-    def __init__(self, period: float, prepare: Callable[[], None], tick: Callable[[], None]) -> None:
+    def __init__(self, period: float, prepare: Callable[[], object], tick: Callable[[], None]) -> None:
         super().__init__(prepare)
         self.period = period
         self._tick = tick
@@ -258,14 +259,34 @@ class TriggeredLoop(Loop, Generic[T]):
                 self._idle()
 
 
-def prefer_this_thread(priority: int) -> None:
-    """The calling thread runs before all without a priority of SCHED_FIFO. Raises OSError where not permitted."""
-    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+def prefer_this_thread(priority: int) -> str | None:
+    """The calling thread runs before all without a priority of SCHED_FIFO; 0: as any other thread.
+
+    Where that is not permitted, what to tell a user; the thread is then as any other.
+    """
+    if priority == 0:
+        return None
+    try:
+        # What this thread starts has no such priority.
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except OSError:
+        return (
+            f"real-time priority {priority} is not permitted here: the loop runs as any other thread; to permit it, "
+            f"put the line '{_user()} - rtprio {priority}' into /etc/security/limits.d/finger_sim.conf and log in anew"
+        )
+    return None
+
+
+def _user() -> str:
+    """Whose threads these are: the name, or the number where there is no name."""
+    with contextlib.suppress(KeyError):
+        return pwd.getpwuid(os.geteuid()).pw_name
+    return str(os.geteuid())
 
 
 def bare(period: float, seconds: float, priority: int = 0) -> StepCounts:
     """How far a loop that does nothing comes in `seconds` at `period` [s]; `priority`: of SCHED_FIFO, 0 for none."""
-    loop = RateLoop(period, lambda: prefer_this_thread(priority) if priority else None, lambda: None)
+    loop = RateLoop(period, lambda: prefer_this_thread(priority), lambda: None)
     loop.start()
     time.sleep(seconds)
     loop.stop(timeout=1.0)

@@ -153,10 +153,8 @@ class FingerNode(Node):  # type: ignore[misc]
     def _close(self) -> int:
         stopped = self._loop.stop(timeout=0.5 if self._loop.ready else 0.1)
         recorder = self._outputs.recorder
-        if recorder is not None:
-            self._rosout.record()
-            self._finish(recorder)
-            self.get_logger().info(recorder.summary())
+        if recorder is not None and recorder.active:
+            self._end_recording(recorder)
         self._standby.end()
         error = self._loop.error
         if error is not None:
@@ -172,24 +170,26 @@ class FingerNode(Node):  # type: ignore[misc]
         self._stepper.prepare(self._on_progress)
         if self._outputs.options.record:
             self._record(bag_path("record", self._outputs.options.record))
-        self._place_this_thread(self._outputs.options.realtime_priority)
+        priority = self._place_this_thread(self._outputs.options.realtime_priority)
         # A full collection would look at every object numba made: 150 ms in which no step can begin.
         gc.collect()
         gc.freeze()
         scene, options = self._stepper.scene, self._outputs.options
         pace = f"at {1.0 / scene.dt:g} Hz" if options.mode == "free" else "one step for each command"
         self.get_logger().info(
-            f"ready after {process_age():.1f} s: {options.scene}, {len(self._stepper.sim.mesh.tets)} tets, {pace}"
+            f"ready after {process_age():.1f} s: {options.scene}, {len(self._stepper.sim.mesh.tets)} tets, {pace}, "
+            + (f"real-time priority {priority}" if priority else "no real-time priority")
         )
 
-    def _place_this_thread(self, priority: int) -> None:
+    def _place_this_thread(self, priority: int) -> int:
+        """On the processors asked for, and with the priority, where that is permitted; the one it has."""
         if self._processors:
             os.sched_setaffinity(0, self._processors)
-        try:
-            if priority > 0:
-                prefer_this_thread(priority)
-        except OSError as error:
-            self.get_logger().warning(f"realtime_priority {priority}: {error.strerror}; running as any other thread")
+        refused = prefer_this_thread(priority)
+        if refused is not None:
+            self.get_logger().info(refused)
+            return 0
+        return priority
 
     def _on_progress(self, text: str) -> None:
         self._progress = text
@@ -211,20 +211,20 @@ class FingerNode(Node):  # type: ignore[misc]
 
     def _tick(self) -> None:
         """A step of mode free."""
-        self._take()
-        self._stepper.tick()
+        now = time.monotonic_ns()
+        self._stepper.tick(now, self._take(now))
 
     def _take_all(self) -> list[Command]:
         """What came in, also before the loop was ready."""
         early = [self._early.popleft() for _ in range(len(self._early))]
         return early + self._take()
 
-    def _take(self) -> list[Command]:
-        """What came in; the newest of it is what the next step follows."""
-        commands = self._inbox.commands()
+    def _take(self, now: int | None = None) -> list[Command]:
+        """What came in by a steady time [ns], or till now; the newest of it is what the next step follows."""
+        commands = self._inbox.commands(now)
         if commands:
             self._stepper.newest = commands[-1]
-        plane = self._inbox.plane()
+        plane = self._inbox.plane(now)
         if plane is not None:
             self._stepper.plane = plane
         return commands
@@ -282,8 +282,7 @@ class FingerNode(Node):  # type: ignore[misc]
                 recorder = self._record(free_name(self._bags))
                 response.success, response.message = True, f"recording {recorder.path}"
             elif recorder is not None:
-                self._rosout.record()
-                self._finish(recorder)
+                self._end_recording(recorder)
                 response.success, response.message = recorder.error is None, recorder.summary()
         except FingerSimError as error:
             response.success, response.message = False, str(error)
@@ -305,11 +304,14 @@ class FingerNode(Node):  # type: ignore[misc]
             recorder = Recorder(path, topics, options.record_queue, self._standby.pipe(), bag, failed)
             self._recorded_from = self._loop.progress
             self._outputs.start_recording(recorder, sim.plane_pose, time_of(self.get_clock()))
-            return recorder
+        self.get_logger().info(f"recording {recorder.path}")
+        return recorder
 
-    def _finish(self, recorder: Recorder) -> None:
-        """Ends a recording, which then says what rate was reached in it."""
+    def _end_recording(self, recorder: Recorder) -> None:
+        """With what has been logged by now, and what rate was reached in it."""
+        self._rosout.record()
         recorder.close(origin={"reached": block_text(self._loop.progress.since(self._recorded_from))})
+        self.get_logger().info(f"recorded {recorder.summary()}")
 
     def _ask(self, answer: Future[Any]) -> Any:
         """What the loop answers. Raises FingerSimError when it does not."""

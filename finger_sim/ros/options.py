@@ -73,7 +73,7 @@ class NodeOptions:
     realtime_priority: int = field(
         "int",
         "Priority of the loop's thread under SCHED_FIFO, where the system permits it; 0: as any other thread",
-        default=0,
+        default=20,
         low=0,
         high=99,
     )

@@ -129,29 +129,34 @@ class Outputs:
         if self.recorder is not None:
             self.recorder.put(topic, data, time.monotonic_ns())
 
-    def send(self, topic: str, data: bytes) -> None:
-        """Publishes and records one message of CDR bytes."""
+    def send(self, topic: str, data: bytes, at: int | None = None) -> None:
+        """Publishes and records one message of CDR bytes; `at`: steady time that it is of [ns], the present if None."""
         self._publishers[topic].publish(data)
         recorder = self.recorder
         if recorder is not None and topic != "mesh_marker":
-            recorder.put(self._names[topic], data, time.monotonic_ns())
+            recorder.put(self._names[topic], data, time.monotonic_ns() if at is None else at)
 
-    def device(self, wrench: Floats, stamp: int) -> None:
-        """Sends what a device is to render (6,) [N, N m]; `stamp` is its time [ns]."""
-        self.send("device_wrench", self._device.fill(stamp, doubles(wrench)))
+    def device(self, wrench: Floats, stamp: int, at: int) -> None:
+        """Sends what a device is to render (6,) [N, N m]; `stamp` is its time, `at` the steady one [ns]."""
+        self.send("device_wrench", self._device.fill(stamp, doubles(wrench)), at)
 
-    def step(self, sim: Simulator, out: StepResult, device_wrench: Floats, stamp: int, options: NodeOptions) -> None:
-        """Sends what a step brought; `stamp` is its time [ns], `options` are those of that step."""
+    def step(
+        self, sim: Simulator, out: StepResult, device_wrench: Floats, stamp: int, options: NodeOptions, at: int
+    ) -> None:
+        """Sends what a step brought: `stamp` is its time [ns], `options` are those of that step.
+
+        at: steady time at which it began [ns], the log time of all that it brought: a replay can make the same steps.
+        """
         wrench = express_wrench(out.contact_wrench, out.pose, options.wrench_frame)
-        self.device(device_wrench, stamp)
-        self.send("contact_wrench", self._wrench.fill(stamp, doubles(wrench)))
+        self.device(device_wrench, stamp, at)
+        self.send("contact_wrench", self._wrench.fill(stamp, doubles(wrench)), at)
         pose = doubles((*out.pose.position, *out.pose.orientation))
-        self.send("pose", self._pose.fill(stamp, pose))
+        self.send("pose", self._pose.fill(stamp, pose), at)
         now = time.monotonic()
         if options.mesh_rate > 0.0 and now >= self._mesh_due:
             self._mesh_due = _next_due(self._mesh_due, now, 1.0 / options.mesh_rate)
             if self._heard("mesh_points") or (self.recorder is not None and self.recorder.active):
-                self.send("mesh_points", self._mesh_points(sim, out.pose, stamp))
+                self.send("mesh_points", self._mesh_points(sim, out.pose, stamp), at)
                 self.mesh_messages += 1
         if options.marker_rate > 0.0 and now >= self._marker_due:
             self._marker_due = _next_due(self._marker_due, now, 1.0 / options.marker_rate)

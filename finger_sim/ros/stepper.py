@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..arrays import Floats
 from ..haptics.budget import Budget, Rung, usable
-from ..haptics.coupling import device_wrench, displacement
+from ..haptics.coupling import displacement
 from ..haptics.passivity import NONE, Port
+from ..haptics.rendering import Rendering
 from ..physics.step import Status
 from ..scene import Pose, Scene
 from ..simulation.result import StepResult
@@ -23,6 +23,10 @@ from .loop import Recent
 from .messages import time_of
 from .options import NodeOptions
 from .outputs import Outputs
+
+DOUBTFUL = ~Status.LOCKED
+"""Status of a step that did not do what was asked. LOCKED alone is how limits of a scene hold tissue that keeps its
+volume: the solver converged, the limits are met. Where they are not, ITERATION_LIMIT or LIMIT_EXCEEDED say so."""
 
 
 @dataclasses.dataclass
@@ -42,6 +46,8 @@ class Window:
     status: Status = Status.OK
     troubled: int = 0
     """Steps with a status bit set."""
+    doubtful: int = 0
+    """Steps with one of DOUBTFUL set."""
 
     def add(self, out: StepResult) -> None:
         self.steps += 1
@@ -57,6 +63,7 @@ class Window:
         if out.status:
             self.status |= out.status
             self.troubled += 1
+            self.doubtful += bool(out.status & DOUBTFUL)
 
 
 class Stepper:
@@ -67,7 +74,7 @@ class Stepper:
     window : the steps since whoever reports put a new one here
     delay  : times from the receipt of a command to the wrench of its step [s]
     transport : times from the stamp of a command to its receipt [s]
-    stale  : whether the command is too old to render forces
+    rendering : of the wrench for the device; it knows whether the command is too old for one
     port   : account of the energy that goes to the device
     """
 
@@ -78,14 +85,14 @@ class Stepper:
         self.window = Window()
         self.delay = Recent()
         self.transport = Recent()
-        self.stale = False
+        self.rendering = Rendering()
         self.budget: Budget | None = None
         self.rungs: tuple[Rung, ...] = ()
         self._outputs, self._clock, self._log = outputs, clock, log
         self._followed: Command | None = None
         self._shifted: Pose | None = None
-        self._ramp = self._delay = 0.0
-        self._none = np.zeros(6)
+        self._zero = 0  # receipt of the command that placed the finger [ns]: times are counted from it
+        self._delay = 0.0
         self.port = Port(scene.dt)
 
     def prepare(self, progress: Callable[[str], None]) -> None:
@@ -94,51 +101,73 @@ class Stepper:
         self._take_budget()
         self._outputs.prepare(self.sim.mesh)
 
-    def tick(self) -> None:
-        """One step of scene.dt on the newest command, stamped with the present time."""
-        self._step(self.newest, time_of(self._clock))
+    def tick(self, now: int, commands: Sequence[Command]) -> None:
+        """One step of scene.dt that begins at a steady time [ns], after commands that came since the last one.
+
+        It is stamped with the present time of the node's clock.
+        """
+        followed = self._begin(now)
+        if self.newest is not None and not followed:
+            commands = [self.newest]
+        for command in commands:
+            self.sim.hear(command.pose, 1e-9 * (command.received_ns - self._zero))
+        self._step(None, self.newest, now, time_of(self._clock))
 
     def answer(self, command: Command) -> None:
         """One step of scene.dt for `command`, with its stamp if it has one, so that the two can be paired."""
-        self._step(command, command.stamp or time_of(self._clock))
+        now, before = time.monotonic_ns(), self._followed
+        self._begin(now, command)
+        if before is not None and command.received - before.received > self.rendering.timeout:
+            self.rendering.silence()
+        self._step(command.pose, command, now, command.stamp or time_of(self._clock))
 
     def idle(self) -> None:
         """Between commands that are each answered by a step: when the last is too old, the device gets no force."""
         command, options = self.newest, self._outputs.options
-        if command is not None and not self.stale and not self._watch(command, options):
-            device = self._passive(self._silenced(), command, options)
-            self._outputs.device(device, time_of(self._clock))
+        now = time.monotonic_ns()
+        if command is not None and not self.rendering.stale and not self._watch(command, now):
+            device = self._passive(self.rendering.silence(), command, options)
+            self._outputs.device(device, time_of(self._clock), now)
 
-    def _step(self, command: Command | None, stamp: int) -> None:
-        """The first command ever places the finger; each later one moves it there."""
+    def _begin(self, now: int, command: Command | None = None) -> bool:
+        """The first command ever places the finger, each later one moves it there; whether it was placed before."""
+        first = command or self.newest
+        if self._followed is not None or first is None:
+            return True
+        self._zero = first.received_ns
+        self._shifted = self.plane
+        self.sim.reset(first.pose, self.plane)
+        if self.sim.set_down_by > 0.0:
+            self._log.info(
+                f"the first command is {1e3 * self.sim.set_down_by:.2f} mm inside the plane: the finger is put on the "
+                "plane above it, and goes there in a tenth of a second"
+            )
+        return False
+
+    def _step(self, command: Pose | None, newest: Command | None, now: int, stamp: int) -> None:
+        """A step, and what it brought. command: of a step that answers it; else what was heard is followed by time."""
         begin, options = time.perf_counter(), self._outputs.options
-        fresh = command is not None and self._watch(command, options)
-        newest = self.plane
-        plane = newest if newest is not self._shifted else None
-        self._shifted = newest
-        if command is None or command is self._followed:
-            out = self.sim.step(None, plane)
-        else:
-            if self._followed is None:
-                self.sim.reset(command.pose, newest)
-            out = self.sim.step(command.pose, plane)
+        rendering = self.rendering
+        rendering.scale, rendering.ramp = options.force_scale, options.force_ramp
+        rendering.timeout = options.command_timeout
+        if newest is not None:
+            self._watch(newest, now)
+        plane = self.plane if self.plane is not self._shifted else None
+        self._shifted = self.plane
+        out = self.sim.step(command, plane, now=None if command else 1e-9 * (now - self._zero))
         if self.budget is not None and self.budget.spent(time.perf_counter() - begin):
             self.sim.solve_with(self.rungs[self.budget.rung].solver)
-        device = self._rendered(out.device_wrench, options) if fresh else self._silenced()
-        if command is not None:
-            device = self._passive(device, command, options)
-        self._outputs.step(self.sim, out, device, stamp, options)
-        if command is not None and command is not self._followed:
-            self._followed = command
-            self.delay.add(time.monotonic() - command.received)
-            self.transport.add(command.transport)
+        device = rendering.silence()
+        if newest is not None:
+            device = self._passive(
+                rendering.render(out.device_wrench, self.scene.coupling, self.scene.dt), newest, options
+            )
+        self._outputs.step(self.sim, out, device, stamp, options, now)
+        if newest is not None and newest is not self._followed:
+            self._followed = newest
+            self.delay.add(time.monotonic() - newest.received)
+            self.transport.add(newest.transport)
         self.window.add(out)
-
-    def _rendered(self, wrench: Floats, options: NodeOptions) -> Floats:
-        """What the device gets: scaled, ramped in, clamped; nothing where a number is not finite."""
-        self._ramp = min(1.0, self._ramp + self.scene.dt / options.force_ramp) if options.force_ramp > 0.0 else 1.0
-        scaled = device_wrench(self.scene.coupling, options.force_scale * self._ramp * wrench)
-        return scaled if math.isfinite(sum(scaled.tolist())) else self._none
 
     def _passive(self, wrench: Floats, command: Command, options: NodeOptions) -> Floats:
         """The wrench as the port's account lets it pass; with `passivity` observe it passes as it is.
@@ -154,11 +183,6 @@ class Stepper:
         port.force_limit, port.torque_limit = limits.force_limit, limits.torque_limit
         sent = port.step(wrench.tolist(), moved, self._delay, fresh)
         return np.array(sent) if port.controlled else wrench
-
-    def _silenced(self) -> Floats:
-        """Nothing; the ramp begins anew."""
-        self._ramp = 0.0
-        return self._none
 
     def reset(self) -> Pose:
         """Back to rest at the last command."""
@@ -178,14 +202,12 @@ class Stepper:
         self.rungs = usable(self.scene, self.sim.mesh) if milliseconds is not None else ()
         self.budget = Budget(1e-3 * milliseconds, len(self.rungs)) if milliseconds is not None else None
 
-    def _watch(self, command: Command, options: NodeOptions) -> bool:
-        """Whether the command is recent by the steady clock; says so when that changes."""
-        limit = options.command_timeout
-        age = time.monotonic() - command.received
-        if self.stale != (age > limit):
-            self.stale = not self.stale
-            if self.stale:
-                self._log.warning(f"no command for {limit:g} s: holding the pose, device_wrench is zero")
-            else:
-                self._log.info("commands are back: device_wrench follows the contact again")
-        return not self.stale
+    def _watch(self, command: Command, now: int) -> bool:
+        """Whether the command is recent at a steady time [ns]; says so when that changes."""
+        rendering, was = self.rendering, self.rendering.stale
+        recent = rendering.watch(1e-9 * (now - command.received_ns))
+        if rendering.stale and not was:
+            self._log.warning(f"no command for {rendering.timeout:g} s: holding the pose, device_wrench is zero")
+        elif was and recent:
+            self._log.info("commands are back: device_wrench follows the contact again")
+        return recent

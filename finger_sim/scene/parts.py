@@ -249,6 +249,14 @@ class Coupling:
     rotational_damping: float = field(
         "float", "Of the virtual coupling", default=0.003, unit="N m s/rad", low=0.0, high=1e3, live=True
     )
+    following: Literal["auto", "hold", "linear", "predict"] = field(
+        "choice",
+        "auto: linear, or hold where each step has a command; hold: jumps; linear: a path, one interval late; "
+        "predict: where the hand must be by now",
+        default="auto",
+        choices=("auto", "hold", "linear", "predict"),
+        live=True,
+    )
     max_speed: float = field(
         "float",
         "A command that moves faster is followed at this speed",

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ..errors import BagError, SceneError
 
-SCENES, BAGS, MESH = (".yaml", ".yml"), (".mcap", ".db3"), ".vtu"
+SCENES, BAGS, MESH = (".yaml", ".yml"), (".mcap", ".db3", ".bag"), ".vtu"
 """How the names of files end: of scenes, of recordings in a bag, of shipped meshes."""
 CLAIMS = {"claims", "rungs"}
 """Files beside the presets that are no scenes: what was measured."""

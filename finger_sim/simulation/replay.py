@@ -11,21 +11,22 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..bags import cdr
 from ..bags.changes import Change, after, before_their_steps, changed, changes_in
-from ..bags.excerpt import Newest, Received, Tally, commands_in, plane_poses_in
+from ..bags.excerpt import Arrivals, Received, Tally, commands_in, plane_poses_in
 from ..bags.interrupts import deferred
-from ..bags.layout import WRENCH_FRAMES
 from ..bags.origin import Origin, differences, origin_of, read_origin, recorded_scene
 from ..bags.reader import LONGEST_SPAN_SECONDS, BagReader, BagWriter, require_absent
 from ..errors import BagError, FingerSimError
+from ..haptics.rendering import Rendering
 from .costs import Costs
 from .replay_output import Changes, Copies, Output
+from .selection import DEFAULTS, RENDERING, Mode, options_of
+from .selection import Selection as Selection
 from .summary import Summary
 
 if TYPE_CHECKING:
@@ -36,48 +37,13 @@ StepsDone = Callable[[int, int], None]
 """Called with the steps done and all there are."""
 
 
-Mode = Literal["free", "triggered"]
-MODES: tuple[Mode, ...] = get_args(Mode)
-
-
-@dataclass(frozen=True)
-class Selection:
-    """What of a bag is simulated, and how.
-
-    The window of `start` and `duration` counts as a bag of its own that holds what was received in it, ends included.
-    Its first command is the newest one received by its beginning, as if it came right then: it places the finger at
-    rest. The newest pose of the plane by then holds likewise.
-    """
-
-    topic: str | None = None
-    """Of the commands; see `bags.reader.read_commands`."""
-    plane_topic: str | None = None
-    """Of the plane's poses; see `bags.reader.plane_poses_of`."""
-    mode: Mode | None = None
-    """As the node's: steps on a clock, or one step for each command, stamped with its receipt; None: as the bag was
-    made where its own scene is simulated, else free."""
-    start: float = 0.0
-    """Beginning of the window, since the first good command [s]."""
-    duration: float | None = None
-    """Length of the window [s]; None: to the end of the bag."""
-
-
-DEFAULTS: Mapping[str, Any] = {
-    "mode": "free",
-    "world_frame": "world",
-    "finger_frame": "finger",
-    "wrench_frame": "world_aligned",
-}
-"""The node's parameters that a run follows too, and says that it did; values where no recording gives others."""
-
-
 class Replay:
     """A bag to be simulated, read once from end to end: a mistake shows before kernels compile.
 
     scene   : what is simulated; None: what the bag was made with, as it was when the first command came, with the
               node's parameters and all that was changed live. With a scene given, only resets are taken of these
     options : the node's parameters by name, plain values, at the first step; where a scene is given, DEFAULTS
-    changes : what is changed from then on, in order; see `live_changes`
+    changes : what is changed from then on, in order
 
     Raises BagError for a bag that cannot be read, for a selection of what is not in it, and where the scene or the mesh
     that it was made with cannot be had.
@@ -90,11 +56,12 @@ class Replay:
         self.origin = read_origin(self.reader)
         """What the bag was made with; None where it does not say."""
         self.scene = recorded_scene(self.reader, self.origin) if scene is None else scene
-        self.options = self._options()
+        said = self.origin.options if self.origin is not None and self.as_recorded else {}
+        self.options = options_of(said, self.selection.mode, self.reader.path)
         self.commands, self.tally = commands_in(self.reader, self.selection.topic)
         self.options["world_frame"] = self.commands.frame_id or DEFAULTS["world_frame"]
         changes = changes_in(self.reader) if self.origin is not None else []
-        if not self._free:
+        if self.mode == "triggered":
             changes = before_their_steps(self.reader, self.commands.poses(), changes)
         self.plane = plane_poses_in(self.reader, self.commands, self.selection.plane_topic)
         self.plane_tally = self._plane_tally()
@@ -107,7 +74,7 @@ class Replay:
         self.start = self.tally.first
         """Log time from which simulated time counts [ns]."""
         self._take(changes)
-        self.steps = _steps(self._last() - self.start, self.scene.dt) if self._free else self.tally.good
+        self.steps = self._count()
         """Steps to be made."""
         if self._last() + _nanoseconds(1, self.scene.dt) >= cdr.STAMPS_END:
             where = f"{self.reader.path}: topic {self.commands.topic}"
@@ -115,20 +82,6 @@ class Replay:
             raise BagError(f"{where}: got a log time of {self._last() * 1e-9:.9g} s, {allowed}")
         self.remains: str | None = None
         """What is left of a run that did not come to its end."""
-
-    def _options(self) -> dict[str, Any]:
-        """The node's parameters at the bag's beginning. Raises BagError for one that no node has."""
-        options = {**DEFAULTS, **(self.origin.options if self.origin is not None and self.as_recorded else {})}
-        for name, known in (("mode", MODES), ("wrench_frame", WRENCH_FRAMES)):
-            if options[name] not in known:
-                got = f"{name}: got {options[name]!r}, allowed: {', '.join(known)}"
-                raise BagError(f"{self.reader.path}: what it says of its making: options: {got}")
-        return options if self.selection.mode is None else {**options, "mode": self.selection.mode}
-
-    @property
-    def live_changes(self) -> list[tuple[float, Mapping[str, Any], Mapping[str, Any]]]:
-        """Time since the first command [s], changes of the scene and changes of the node's parameters, in order."""
-        return [(1e-9 * (change.time - self.start), change.scene, change.options) for change in self.changes]
 
     def _take(self, changes: list[Change]) -> None:
         """What was changed by the first step is in scene and options then; what comes later is to be changed.
@@ -183,22 +136,38 @@ class Replay:
         if self.plane is not None:
             copies.append(Copies(self.plane, recording, "plane_pose"))
         changes = Changes(self.changes, recording)
-        plane = Newest(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
-        before = plane.received_by(self.start)
-        held = next(self.commands.poses()).pose
-        simulator.reset(held, before and before.pose)
-        output.begin(simulator)
-        costs = Costs()
+        plane = Arrivals(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
+        costs, rendering = Costs(), Rendering(*(self.options[name] for name in RENDERING))
+        newest: Received | None = None
+        zero = self.start
         for moment in self._moments():
-            changes.up_to(self.start + moment.begin, simulator)
-            place = plane.received_by(self.start + moment.begin)
-            held = moment.command.pose if moment.command is not None else held
+            for name, value in changes.up_to(self.start + moment.begin, simulator).items():
+                if name in RENDERING:
+                    setattr(rendering, RENDERING[name], value)
+            places, commands = plane.up_to(self.start + moment.begin), moment.commands
+            if newest is None:
+                commands = commands[-1:]
+                zero = commands[0].log_time
+                simulator.reset(commands[0].pose, places[-1].pose if places else None)
+                summary.set_down_by = simulator.set_down_by
+                output.begin(simulator)
             clock = time.perf_counter()
-            result = simulator.step(held, place and place.pose)
+            answers = commands[-1].pose if self.mode == "triggered" else None
+            if answers is None:
+                for command in commands:
+                    simulator.hear(command.pose, 1e-9 * (command.log_time - zero))
+            now = 1e-9 * (self.start + moment.begin - zero) if answers is None else None
+            result = simulator.step(answers, places[-1].pose if places else None, now=now)
+            if answers is not None and newest is not None:
+                rendering.watch(1e-9 * (commands[-1].log_time - newest.log_time))
+            newest = commands[-1] if commands else newest
+            assert newest is not None
+            rendering.watch(1e-9 * (self.start + moment.begin - newest.log_time))
+            device = rendering.render(result.device_wrench, self.scene.coupling, self.scene.dt)
             costs.add(time.perf_counter() - clock)
             for copy in copies:
                 copy.up_to(self.start + moment.end)
-            output.step(simulator, result, moment.end)
+            output.step(simulator, result, device, moment.end)
             summary.count(result, moment.end)
             if progress is not None:
                 progress(summary.steps, self.steps)
@@ -209,21 +178,51 @@ class Replay:
         summary.step_median, summary.step_p99 = costs.percentile(50.0), costs.percentile(99.0)
 
     @property
-    def _free(self) -> bool:
-        return bool(self.options["mode"] == "free")
+    def mode(self) -> Mode:
+        """When steps are made; see `Selection.mode`."""
+        mode: Mode = self.options["mode"]
+        return mode
+
+    def _count(self) -> int:
+        """Steps to be made. Raises BagError where the mode asks for recorded ones, and there are none."""
+        match self.mode:
+            case "free":
+                return _steps(self._last() - self.start, self.scene.dt)
+            case "triggered":
+                return self.tally.good
+        count = sum(1 for _ in self._recorded_steps())
+        if count == 0:
+            topic = self._steps_topic
+            raise BagError(f"{self.reader.path}: mode recorded needs the topic {topic} of the node that recorded it")
+        return count
+
+    @property
+    def _steps_topic(self) -> str:
+        return f"{self.commands.topic.rpartition('/')[0]}/contact_wrench"
+
+    def _recorded_steps(self) -> Iterator[int]:
+        """When the node began its steps, from the first that followed a command on [ns since the start]."""
+        last = self.commands.end if self.commands.end is not None else math.inf
+        for message in self.reader.messages([self._steps_topic]):
+            if self.start <= message.log_time <= last:
+                yield message.log_time - self.start
 
     def _moments(self) -> Iterator[_Moment]:
-        """When steps begin and end, with the command that came for each."""
-        if not self._free:
+        """When steps begin and end, with the commands that came for each."""
+        if self.mode == "triggered":
             for command in self.commands.poses():
                 at = command.log_time - self.start
-                yield _Moment(at, at, command)
+                yield _Moment(at, at, [command])
             return
-        newest = Newest(self.commands.poses())
+        arrivals = Arrivals(self.commands.poses())
+        if self.mode == "recorded":
+            for begin in self._recorded_steps():
+                yield _Moment(begin, begin, arrivals.up_to(self.start + begin))
+            return
         begin = 0
         for k in range(self.steps):
             end = _nanoseconds(k + 1, self.scene.dt)
-            yield _Moment(begin, end, newest.received_by(self.start + begin))
+            yield _Moment(begin, end, arrivals.up_to(self.start + begin))
             begin = end
 
     def _plane_tally(self) -> Tally:
@@ -239,7 +238,7 @@ class Replay:
 
     def _last(self) -> int:
         """Log time of the last pose that a step follows [ns]."""
-        moves = self._free and self.scene.plane is not None and self.plane_tally.good
+        moves = self.mode == "free" and self.scene.plane is not None and self.plane_tally.good
         return max(self.tally.last, self.plane_tally.last) if moves else self.tally.last
 
     def _window(self) -> tuple[int | None, int | None]:
@@ -317,11 +316,11 @@ def run(
 
 
 class _Moment(NamedTuple):
-    """A step: when it begins and ends [ns], and the command that came for it, if one did."""
+    """A step: when it begins, what time its results have [ns], and the commands that came for it."""
 
     begin: int
     end: int
-    command: Received | None
+    commands: list[Received]
 
 
 def _steps(last: int, dt: float) -> int:

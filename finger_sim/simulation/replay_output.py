@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from ..arrays import Floats
 from ..bags import cdr
 from ..bags.changes import EVENTS_QOS, RESET_QOS, Change
 from ..bags.excerpt import Excerpt
@@ -97,13 +98,13 @@ class Output:
         if standing is not None:
             self._recording.write(STANDING, standing, self._start)
 
-    def step(self, simulator: Simulator, result: StepResult, end: int) -> None:
+    def step(self, simulator: Simulator, result: StepResult, device_wrench: Floats, end: int) -> None:
         """What a step gave that ended at `end` [ns]: wrenches and pose, and the deformed nodes where they are due."""
         stamp, pose = self._start + end, result.pose
         contact = express_wrench(result.contact_wrench, pose, self._axes)
         for topic, frame, wrench in (
             ("contact_wrench", self._contact_frame, contact),
-            ("device_wrench", self._device_frame, result.device_wrench),
+            ("device_wrench", self._device_frame, device_wrench),
         ):
             self._recording.write(topic, cdr.wrench_stamped(stamp, frame, wrench), stamp)
         data = cdr.pose_stamped(stamp, self._frame, pose.position, pose.orientation)

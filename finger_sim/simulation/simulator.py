@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,11 +12,11 @@ import numpy as np
 
 from ..arrays import Floats
 from ..errors import SceneError
-from ..haptics.coupling import device_wrench, set_down, spring_wrench
+from ..haptics.coupling import device_wrench, outside, set_down, spring_wrench
 from ..physics import step as stepping
 from ..physics.clock import STAGES
 from ..physics.compile import compiling
-from ..physics.ready import advance, measure_strains, ready, refresh
+from ..physics.ready import KERNELS, advance, measure_strains, ready, refresh
 from ..physics.rotations import matrix
 from ..physics.step import Status
 from ..physics.work import WORK
@@ -52,14 +53,14 @@ class Simulator:
         tell(f"mesh: {len(self.mesh.tets)} tetrahedra, {len(self.mesh.points)} nodes")
         self._model = build_model(scene, self.mesh)
         self._state = build_state(self._model, self.mesh.points, timed)
-        self._ready = ready(self._model, self._state)
         self._rest_driven = self.mesh.points[self._model.driven]
         self._turned_by, self._turned_driven = Pose().orientation, self._rest_driven
         self._driven = scene.driven is not None
+        self._skin = self.mesh.points[self._model.contact_nodes]
         self._yields = scene.coupling.type == "virtual"
         x, y, z = self._rest_driven.mean(axis=0).tolist() if self._driven else (0.0, 0.0, 0.0)
         self._centre: Vec3 = (x, y, z)
-        self._given = self.pose = scene.initial_pose
+        self._given = self._good = self.pose = scene.initial_pose
         self._drive = Drive(self.pose, self._centre if self._driven else None, self._yields)
         self._ground = Ground(scene.plane) if scene.plane is not None else None
         self._guard = Guard(
@@ -67,29 +68,44 @@ class Simulator:
             driven=self._driven, sleeps=scene.solver.sleep,
         )  # fmt: skip
         self._asleep: StepResult | None = None  # what the body gave when it fell asleep
+        self.set_down_by = 0.0
+        """How far above its command the last reset put the body, as it would have been in the plane [m]."""
         self._was_set_down = False
         self._steps = 0
         self._timed = timed
-        with compiling(tell):
+        with compiling(tell, KERNELS):
+            self._ready = ready(self._model, self._state)
             self._warm_up()
         self.reset(scene.initial_pose)
         tell("ready")
 
-    def step(self, command: Pose | None = None, plane: Pose | None = None) -> StepResult:
+    def hear(self, command: Pose, received: float) -> None:
+        """A command for the next step that came at a time [s], as `step` takes it; for several, or late ones.
+
+        Raises SceneError as `step` does; nothing has changed then.
+        """
+        self._drive.hear(self._checked(command), received)
+
+    def step(self, command: Pose | None = None, plane: Pose | None = None, *, now: float | None = None) -> StepResult:
         """Advance by `scene.dt` towards `command`; None holds the last one. A free body takes no command.
 
+        How commands that come less often than steps are followed: `coupling.following`.
         plane: where the plane is wanted from now on, as the x-y plane of a pose (see Ground); None: as before.
+        now: when the step begins [s], on the clock that `hear` was told times of; None: dt after the last one began.
 
         Raises SceneError when a pose is refused (see checked_pose), or when the scene has no plane to move;
         the state is then unchanged.
         """
-        command, plane = self._taken(command, plane)
+        if plane is not None:
+            plane = self._checked_plane(plane)
+        if command is not None:
+            self._drive.hear(self._checked(command), None)
         scene, drive, ground = self.scene, self._drive, self._ground
         self._steps += 1
         shifts = ground is not None and ground.advance(plane, scene.coupling, scene.dt)
         if shifts:
             self._set_down()
-        moves = drive.advance(command, scene.coupling, ground.surface if ground else None, scene.dt) or shifts
+        moves = drive.advance(scene.coupling, ground.surface if ground else None, now, scene.dt) or shifts
         slept = self._guard.slept
         if not self._guard.advance(moves) and self._asleep is not None:
             return self._asleep.later(self.time)
@@ -115,18 +131,18 @@ class Simulator:
                 out = dataclasses.replace(out, status=out.status | Status.RESTORED)
         return out
 
-    def _taken(self, command: Pose | None, plane: Pose | None) -> tuple[Pose | None, Pose | None]:
-        """Both with unit quaternions, None where there is nothing new. Raises SceneError; nothing has changed then."""
-        if plane is not None:
-            if self._ground is None:
-                raise SceneError("plane", None, "a scene with a plane, to move it")
-            plane = checked_pose(plane, "plane")
-        if command is None or command is self._given:
-            return None, plane
-        if self._guard.asleep and isinstance(command, Pose) and command == self._given:
-            return None, plane
-        self._given, command = command, checked_pose(command, "command")
-        return command, plane
+    def _checked(self, command: Pose) -> Pose:
+        """A command with a unit quaternion. Raises SceneError; nothing has changed then."""
+        if command is not self._given:
+            self._good = checked_pose(command, "command")
+            self._given = command
+        return self._good
+
+    def _checked_plane(self, plane: Pose) -> Pose:
+        """A pose of the plane likewise."""
+        if self._ground is None:
+            raise SceneError("plane", None, "a scene with a plane, to move it")
+        return checked_pose(plane, "plane")
 
     def _substep(self, part: float, shifts: bool) -> list[float]:
         """Advance by the substep that ends after a part of the step; State.result, with RESTORED in its status."""
@@ -181,20 +197,27 @@ class Simulator:
         )
 
     def reset(self, pose: Pose | None = None, plane: Pose | None = None) -> None:
-        """Back to rest at `pose` (default: the last command), at time 0; a bone that yields not past the plane.
+        """Back to rest at `pose` (default: the last command), at time 0.
 
         plane: where the plane rests, as in `step`; None: where it was last wanted.
+        A body that would be in the plane is put right above it, and goes on to `pose` from there in a tenth of a
+        second (`set_down_by`).
 
         Raises SceneError as `step` does; nothing has changed then.
         """
-        pose, plane = self._taken(pose, plane)
+        if plane is not None:
+            plane = self._checked_plane(plane)
+        pose = self._drive.command if pose is None else self._checked(pose)
         if self._ground is not None:
             self._ground.arrive(plane)
-        self._drive.rest(pose or self._drive.command)
-        self.pose = self._drive.end
+        there = pose
+        if self._driven and self._ground is not None:
+            there = outside(*self._ground.surface, self._skin, pose)
+        self.set_down_by = math.dist(there.position, pose.position)
+        self._drive.rest(there, pose)
+        self.pose = there
         self._steps = 0
         self._restore()
-        self._set_down()
         self._was_set_down = False
         self._state.laps[:] = 0.0
         self._state.work[:] = 0
@@ -326,7 +349,7 @@ class Simulator:
     def _set_down(self) -> None:
         """A bone that yields and finds itself past the plane goes to rest on it; the next step's status says so."""
         if self._yields and self._ground is not None:
-            there = set_down(*self._ground.surface, self._centre, self.mesh.points, self.pose)
+            there = set_down(*self._ground.surface, self._centre, self._skin, self.pose)
             if there is not self.pose:
                 self.pose = there
                 self._restore()

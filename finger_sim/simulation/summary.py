@@ -58,6 +58,8 @@ class Summary:
     """Largest strain / limit."""
     max_penetration: float = 0.0
     """[m]"""
+    set_down_by: float = 0.0
+    """How far inside the plane the first command is [m]; the finger was put on the plane above it, and went there."""
     status: dict[str, int] = field(default_factory=dict)
     """Steps in which each status bit was set; empty when all went well."""
 

@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 
 from finger_sim.bags import cdr
-from finger_sim.bags.compare import TopicComparison, compare
+from finger_sim.bags.compare import compare
+from finger_sim.bags.comparison import TopicComparison
 from finger_sim.bags.layout import POINT_DTYPE
 from finger_sim.bags.reader import BagWriter
+from finger_sim.bags.verdict import verdict
 from finger_sim.cli import main
 from finger_sim.errors import BagError
 
@@ -224,6 +226,88 @@ def test_a_topic_that_only_one_has_is_a_difference(tmp_path: Path) -> None:
         compare(a, b, overlap=True)
 
 
+def test_what_only_a_live_node_writes_is_left_out(tmp_path: Path) -> None:
+    """And what only one bag has and cannot be measured; each is named with its reason, and counts where asked for."""
+    a, b = tmp_path / "a", wrenches(tmp_path / "b", n=2)
+    with BagWriter(a) as bag:
+        bag.add_topic("contact_wrench", cdr.WRENCH_STAMPED)
+        bag.add_topic("plane_pose", cdr.POSE_STAMPED)
+        for name, kind in (("diagnostics", "diagnostic_msgs/msg/DiagnosticArray"), ("tf", "tf2_msgs/msg/TFMessage")):
+            bag.add_topic(name, kind, definition=("", ""))
+            bag.write(name, b"any", START)
+        for k in range(2):
+            data = cdr.wrench_stamped(START + k * MS, "finger", (0.0, 0.0, 1e-3 * k, 0.5, 0.0, 0.0))
+            bag.write("contact_wrench", data, START + k * MS)
+    found = compare(a, b)
+    assert found.equal
+    assert {topic.name: topic.reason.split(",")[0] for topic in found.left_out} == {
+        "/plane_pose": "only in A",
+        "/diagnostics": "only a live node writes it",
+        "/tf": "only in A",
+    }
+    assert [topic["name"] for topic in found.as_plain()["left_out"]] == [topic.name for topic in found.left_out]
+    assert "left out: " in str(verdict(found)[-2])
+    every = compare(a, b, everything=True)
+    assert {topic.name for topic in every.topics if not topic.equal} == {"/plane_pose", "/diagnostics", "/tf"}
+    assert not compare(a, b, topics=["diagnostics"]).equal
+    only_live = tmp_path / "live"
+    with BagWriter(only_live) as bag:
+        bag.add_topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", definition=("", ""))
+        bag.write("diagnostics", b"any", START)
+    assert verdict(compare(only_live, only_live))[-1] == "not equal: nothing was compared"
+
+
+def test_it_says_how_many_messages_it_compared_and_why_not_more(tmp_path: Path) -> None:
+    """Of A's hundred, two begin before B and one comes after it; of B, one lies between the last two of A."""
+    a = wrenches(tmp_path / "a")
+    b = wrenches(tmp_path / "b", n=97, start=START + 2 * MS)
+    (topic,) = (found := compare(a, b, tolerance=1.0, overlap=True)).topics
+    assert (topic.before, topic.after, topic.outside) == ((2, 0), (1, 0), (3, 0))
+    said = "2 of A begin before the first of B, 1 of A come after the last of B"
+    assert f"/contact_wrench: compared 97 of 100 messages: {said}" in verdict(found)
+
+
+def test_a_topic_with_one_message_holds_for_the_whole_bag(tmp_path: Path) -> None:
+    """The topology of a mesh is the same whenever it was sent; another is not."""
+    for name, time, size in (("a", 0, 1.0), ("b", 5 * MS, 1.0), ("c", 5 * MS, 1.1)):
+        with BagWriter(tmp_path / name) as bag:
+            bag.add_topic("mesh_topology", cdr.MESH)
+            bag.write("mesh_topology", cdr.mesh(size * np.eye(3), np.array([[0, 1, 2]])), START + time)
+    assert only(tmp_path / "a", tmp_path / "b", tolerance=0.0, overlap=True).equal
+    other = only(tmp_path / "c", tmp_path / "b", tolerance=0.01, overlap=True)
+    assert (other.equal, other.compared, other.outside) == (False, 1, (0, 0))
+    assert other.differences[0].max == pytest.approx(0.1)
+
+
+def wave(t: float) -> float:
+    """A force that never repeats itself within a tenth of a second [N]."""
+    return math.sin(8.0 * t) + 0.5 * math.sin(19.0 * t + 1.0)
+
+
+@pytest.mark.parametrize(("late", "n"), [(3.7e-3, 6000), (-12.2e-3, 900)])
+def test_the_lag_is_told_and_what_remains_without_it(tmp_path: Path, late: float, n: int) -> None:
+    """Of a wave sampled at other times, longer or shorter than a block; without its lag next to nothing is left."""
+    a = wrenches(tmp_path / "a", wave, n=n)
+    b = wrenches(tmp_path / "b", lambda t: wave(t + 0.0004 - late), n=n, start=START + 400_000)
+    (topic,) = (found := compare(a, b)).topics
+    assert topic.lag is not None
+    assert topic.lag.seconds == pytest.approx(late, abs=2e-5)
+    assert not topic.lag.beyond
+    assert topic.lag.rest < 0.01 * topic.lag.rms
+    side = f"{1e3 * abs(topic.lag.seconds):.2f} ms {'after' if late > 0.0 else 'before'} A"
+    assert any(f"/contact_wrench: B lies {side}" in str(line) for line in verdict(found))
+
+
+def test_of_what_stands_still_no_lag_is_told(tmp_path: Path) -> None:
+    """Nor of what is too short, or no number; a lag beyond those tried is said to be."""
+    for name, force, n in (("still", lambda _: 1.0, 900), ("short", wave, 3), ("nan", lambda _: math.nan, 900)):
+        a = wrenches(tmp_path / f"a_{name}", force, n=n)
+        assert only(a, wrenches(tmp_path / f"b_{name}", lambda t: 1.0 + force(t), n=n)).lag is None, name  # noqa: B023
+    far = only(wrenches(tmp_path / "a", n=900), wrenches(tmp_path / "b", lambda t: t - 0.5, n=900)).lag
+    assert far is not None
+    assert (far.seconds, far.beyond) == (pytest.approx(0.1), True)
+
+
 def test_broken_messages_are_named(tmp_path: Path) -> None:
     """Bag, topic and message."""
     a = wrenches(tmp_path / "a", n=1)
@@ -249,6 +333,8 @@ def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plain = json.loads(capsys.readouterr().out)
     assert plain["equal"] is False
     assert plain["topics"][0]["differences"][0]["rms"] == pytest.approx(0.125)
+    assert main(["compare", a, b, "--all", "--topic", "contact_wrench", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out) == plain
     for mistake in ([a, "nowhere"], [a, b, "--topic", "force"], [a, b, "--overlap"]):
         assert main(["compare", *mistake]) == 2
         assert capsys.readouterr().err.startswith("finger_sim: error: ")

@@ -8,11 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import for_each
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from finger_sim.bags.imports import PAUSE, ImportSummary, import_csv
 from finger_sim.bags.reader import START, BagReader, read_commands
 from finger_sim.bags.strokes import (
     FLAT,
@@ -28,7 +24,6 @@ from finger_sim.bags.strokes import (
     trace,
     tremor,
 )
-from finger_sim.errors import BagError
 from finger_sim.scene.mesh import TetMesh
 from finger_sim.scene.resources import shipped
 
@@ -128,155 +123,3 @@ def test_bags_are_made_the_same_every_time(tmp_path: Path, capsys: pytest.Captur
         assert file.read_bytes() == (tmp_path / "again" / file.relative_to(tmp_path / "made")).read_bytes()
     assert main([str(tmp_path / "made")]) == 1
     assert "exists already" in capsys.readouterr().err
-
-
-def csv(tmp_path: Path, text: str) -> Path:
-    path = tmp_path / "poses.csv"
-    path.write_text(text)
-    return path
-
-
-def imported(tmp_path: Path, text: str, **options: object) -> ImportSummary:
-    number = len(list(tmp_path.glob("bag*")))
-    return import_csv(csv(tmp_path, text), tmp_path / f"bag{number}", **options)  # type: ignore[arg-type]
-
-
-def poses(summary: ImportSummary) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    commands = read_commands(summary.path)
-    return commands.receipt, commands.position, commands.orientation
-
-
-QUIRKS = """# a recording of a robot
-# two comment lines
-
-t,x,y,z,qx,qy,qz,qw,fx
-0.0125,-0.1,0.2,0.3,0.5,0.5,0.5,0.5,9
-0.0250,-0.1,0.2,0.3,-0.5,-0.5,-0.5,-0.5,nan
-0.0250,-0.1,0.2,0.4,0.5,0.5,0.5,0.5,what
-# a comment between
-0.0375,-0.1,0.2,0.3,0.5,0.5,0.5,0.5,
-1.0375,5.0,0.2,0.3,1,1,1,1,9
-"""
-
-
-def test_quirks_of_real_recordings_go_through(tmp_path: Path) -> None:
-    """Sign flips, repeated stamps, gaps, jumps and columns of no use: kept and counted."""
-    summary = imported(tmp_path, QUIRKS)
-    assert (summary.poses, summary.sign_flips, summary.repeated_stamps, summary.gaps) == (5, 2, 1, 1)
-    assert summary.longest_gap == pytest.approx(1.0)
-    assert summary.duration == pytest.approx(1.025)
-    assert summary.rate == pytest.approx(80.0)
-    assert summary.defaulted == ()
-    t, position, orientation = poses(summary)
-    np.testing.assert_allclose(t, [0.0, 0.0125, 0.0125, 0.025, 1.025], atol=1e-12)
-    np.testing.assert_array_equal(position[:, 0], [-0.1, -0.1, -0.1, -0.1, 5.0])
-    np.testing.assert_array_equal(orientation[:, 0], [0.5, -0.5, 0.5, 0.5, 0.5])
-
-
-@pytest.mark.parametrize("separator", [",", ";", "\t", " ", " , ", "   "])
-def test_separators(tmp_path: Path, separator: str) -> None:
-    """Comma, semicolon, tab and blanks separate alike; names come in any order."""
-    rows = [("z", "t", "qw"), ("0.25", "1e1", "1"), ("-.5", "10.5", "2")]
-    summary = imported(tmp_path, "\ufeff" + "\n".join(separator.join(row) for row in rows))
-    t, position, orientation = poses(summary)
-    np.testing.assert_allclose(t, [0.0, 0.5])
-    np.testing.assert_array_equal(position, [[0.0, 0.0, 0.25], [0.0, 0.0, -0.5]])
-    np.testing.assert_array_equal(orientation, [[0.0, 0.0, 0.0, 1.0]] * 2)
-    assert summary.defaulted == ("x", "y", "qx", "qy", "qz")
-
-
-def test_constants_and_offsets(tmp_path: Path) -> None:
-    """Constants stand for columns, there or not; offsets are added to what stands then."""
-    summary = imported(
-        tmp_path,
-        "t,x,y\n0,1,2\n1,3,4\n",
-        constants={"z": 0.006, "y": 7.0, "qx": 1.0, "qw": 0.0},
-        offset={"x": -1.0, "z": 0.001},
-        topic="tool",
-        frame_id="base",
-    )
-    _, position, orientation = poses(summary)
-    np.testing.assert_allclose(position, [[0.0, 7.0, 0.007], [2.0, 7.0, 0.007]], rtol=1e-15)
-    np.testing.assert_array_equal(orientation[0], [1.0, 0.0, 0.0, 0.0])
-    assert (summary.topic, summary.defaulted) == ("/tool", ("qy", "qz"))
-    assert read_commands(summary.path).frame_id == "base"
-    for options, text in (
-        ({"constants": {"fx": 1.0}}, "constants: got column 'fx', allowed: x, y, z"),
-        ({"offset": {"t": 1.0}}, "offset: got column 't'"),
-        ({"offset": {"x": math.nan}}, "offset: x: got nan, allowed: a finite number"),
-        ({"constants": {"qw": 0.0}}, ":2: orientation: got .0.0, 0.0, 0.0, 0.0."),
-    ):
-        with pytest.raises(BagError, match=text):
-            imported(tmp_path, "t,x\n0,1\n", **options)
-
-
-REPEATS = "rep,t,x\n0,0.0,1\n0,0.1,2\n1,0.0,3\n1,0.1,4\n2,0.05,5\n"
-
-
-def test_repeats(tmp_path: Path) -> None:
-    """Where t starts anew the user is told how to take one repeat or all; both then work."""
-    with pytest.raises(BagError) as caught:
-        imported(tmp_path, REPEATS)
-    assert "poses.csv:4: column t: got 0 s after 0.1 s, allowed: times that never fall" in str(caught.value)
-    assert "rep goes from 0 to 1 here" in str(caught.value)
-    assert "--where rep=0" in str(caught.value)
-    t, position, _ = poses(imported(tmp_path, REPEATS, where={"rep": "1.0"}))
-    np.testing.assert_allclose(t, [0.0, 0.1])
-    np.testing.assert_array_equal(position[:, 0], [3.0, 4.0])
-    summary = imported(tmp_path, REPEATS, concatenate="rep")
-    t, position, _ = poses(summary)
-    np.testing.assert_allclose(t, [0.0, 0.1, 0.1 + PAUSE, 0.2 + PAUSE, 0.2 + 2 * PAUSE], atol=1e-12)
-    np.testing.assert_array_equal(position[:, 0], [1, 2, 3, 4, 5])
-    assert summary.repeats == 3
-    with pytest.raises(BagError, match=r"has no rows with rep=9"):
-        imported(tmp_path, REPEATS, where={"rep": "9"})
-    with pytest.raises(BagError, match=r"no column 'trial'; found rep, t, x"):
-        imported(tmp_path, REPEATS, where={"trial": "9"})
-
-
-@for_each(
-    "text, error",
-    [
-        ("", "poses.csv: is empty"),
-        ("# only a comment\n", "poses.csv: is empty"),
-        ("t,x\n", "poses.csv: has no rows"),
-        ("x,y\n1,2\n", r"poses.csv:1: got columns x, y, allowed: t \[s\] and any of x, y, z"),
-        ("0,1,2\n1,2,3\n", r"poses.csv:1: got columns 0, 1, 2, allowed: t"),
-        ("t,x,x\n0,1,1\n", "poses.csv:1: got columns t, x, x, allowed: every name once"),
-        ("t,x\n0,1\n1,nan\n", r"poses.csv:3:2: column x: got 'nan', allowed: a finite number \[m\]"),
-        ("t,x\n0,-inf\n", "poses.csv:2:2: column x: got '-inf'"),
-        ("t,x\n0,1e999\n", "poses.csv:2:2: column x: got '1e999'"),
-        ("t,x\n0,\n", "poses.csv:2:2: column x: got ''"),
-        ("t,x\n# c\n\n0,abc\n", "poses.csv:4:2: column x: got 'abc'"),
-        ("t;x\n0;0,5\n", "poses.csv:2:2: column x: got '0,5'"),
-        ("x,t\n0,noon\n", r"poses.csv:2:2: column t: got 'noon', allowed: a finite number \[s\]"),
-        ("t,x\n0,1,2\n", "poses.csv:2: got 3 cells, allowed: 2"),
-        ("t,x\n0\n", "poses.csv:2: got 1 cells, allowed: 2"),
-        ("t,x\n1,0\n0.5,0\n", "poses.csv:3: column t: got 0.5 s after 1 s, allowed: times that never fall"),
-        ("t,x\n0,0\n1e9,0\n", "poses.csv:3: column t: got 1e[+]09, .* t is in seconds"),
-        ("t,qw\n0,0\n", "poses.csv:2: orientation: got .0.0, 0.0, 0.0, 0.0."),
-    ],
-)
-def test_bad_files_are_refused_by_line_and_column(tmp_path: Path, text: str, error: str) -> None:
-    """Every wrong cell is named by file, line, column and value; nothing is written."""
-    with pytest.raises(BagError, match=error):
-        imported(tmp_path, text)
-    assert not list(tmp_path.glob("bag*"))
-
-
-def test_binary_and_missing_files_are_refused(tmp_path: Path) -> None:
-    """Neither a picture nor a path to nowhere ends in a traceback."""
-    (tmp_path / "picture.csv").write_bytes(b"\x89PNG\xff\xfe\x00")
-    with pytest.raises(BagError, match="not a text file"):
-        import_csv(tmp_path / "picture.csv", tmp_path / "bag")
-    with pytest.raises(BagError, match=r"nowhere\.csv: cannot be read: No such file"):
-        import_csv(tmp_path / "nowhere.csv", tmp_path / "bag")
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.lists(st.floats(-1e4, 1e4, allow_subnormal=False), min_size=1, max_size=20))
-def test_numbers_survive_to_the_last_bit(tmp_path_factory: pytest.TempPathFactory, values: list[float]) -> None:
-    """What a CSV says of a position is in the bag to the last bit."""
-    text = "t,x\n" + "".join(f"{k},{value!r}\n" for k, value in enumerate(values))
-    _, position, _ = poses(imported(tmp_path_factory.mktemp("numbers"), text))
-    assert position[:, 0].tolist() == values

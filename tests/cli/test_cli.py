@@ -121,6 +121,8 @@ def test_wrong_arguments_are_named(capsys, arguments, says):
         (["play", "commands", "--topic", "pose"], "found /command_pose"),
         (["import", "nowhere.csv", "-o", "bag"], "nowhere.csv"),
         (["import", "block.yaml", "-o", "bag"], "block.yaml"),
+        (["run", "block.yaml", "--bag", "hand.bag"], "`rosbags-convert --src hand.bag --dst FOLDER`"),
+        (["info", "hand.bag"], "a ROS 1 bag: `finger_sim import hand.bag -o NAME`"),
         (["info", "nowhere"], "press_slide"),
         (["info", "notes.txt"], "notes.txt"),
         (["info", "bad.yaml"], "dt: got -1"),
@@ -135,6 +137,7 @@ def test_wrong_arguments_are_named(capsys, arguments, says):
 def test_mistakes_are_one_clear_line(capsys, here, arguments, says):
     """Files that are not there, of the wrong kind, or in the way: no traceback, exit code 2."""
     Path("notes.txt").write_text("no mesh")
+    Path("hand.bag").write_bytes(b"#ROSBAG V2.0\n")
     Path("bad.yaml").write_text("mesh: {beam: {}}\ndt: -1\n")
     Path("empty").mkdir(exist_ok=True)
     assert says in fails(capsys, *arguments)
@@ -200,14 +203,62 @@ def test_import_passes_its_options_on(capsys, here):
         capsys, "import", "poses.csv", "-o", "bag", "--where", "rep=1", "--set", "z=0.25", "--offset", "x=-1",
         "--topic", "/device/pose", "--frame-id", "table",
     )  # fmt: skip
-    assert "2 poses on /device/pose" in said
-    assert "not in the file: qx, qy, qz, qw" in said
+    assert said.startswith("bag: 2 poses on /device/pose in frame 'table'")
+    assert re.search(r"^assumed +not in the file: qx, qy, qz, qw, taken as 0, qw as 1", said, re.MULTILINE)
+    assert re.search(r"^x +2.0000 … 4.0000 m", said, re.MULTILINE)
     from finger_sim.bags.reader import read_commands
 
     commands = read_commands("bag")
     assert commands.frame_id == "table"
     np.testing.assert_allclose(commands.position, [[2, 4, 0.25], [4, 6, 0.25]])
     np.testing.assert_allclose(commands.receipt, [0.0, 0.5])
+
+
+def test_import_says_what_cannot_be_a_finger(capsys, here):
+    """Millimetres taken for metres: a warning names the option, with which it is gone; `info` tells the same."""
+    rows = [f"{k};{k * k};0;{40 + k}" for k in range(10)]
+    Path("hand.csv").write_text("ms;px;py;pz\n" + "\n".join(rows))
+    columns = ["--columns", "t=ms", "x=px", "y=py", "z=pz", "--time-unit", "ms"]
+    assert main(["import", "hand.csv", "-o", "metres", *columns]) == 0
+    out, err = capsys.readouterr()
+    assert re.search(r"^speed .* largest 1.7e\+04 m/s at 0.008 s", out, re.MULTILINE)
+    assert re.search(r"^finger_sim: warning: moves 81 m along x, .*millimetres[?] import --scale 0.001$", err, re.M)
+    told = does(capsys, "info", "metres")
+    assert re.search(r"^commands on /command_pose in frame 'world', by times of receipt", told, re.MULTILINE)
+    assert re.search(r"^warning +moves 81 m along x, farther", told, re.MULTILINE)
+    assert re.search(r"^speed .* largest 1.7e\+04 m/s at 0.008 s", told, re.MULTILINE)
+    assert re.search(r"^header stamps +0 repeated, 0 fall", told, re.MULTILINE)
+    slower = [
+        "--scale",
+        "0.001",
+        "--offset",
+        "z=-0.035",
+        "--set",
+        "qx=0.7071",
+        "--set",
+        "qw=0.7071",
+        "--resample",
+        "500",
+    ]
+    assert main(["import", "hand.csv", "-o", "finger", *columns, *slower, "--time-unit", "s"]) == 0
+    out, err = capsys.readouterr()
+    assert re.search(r"^rate +500 Hz", out, re.MULTILINE)
+    assert re.search(r"^depth +shipped finger, undeformed, .* below the plane z = 0 m at 0.000 s", out, re.MULTILINE)
+    assert err == ""
+
+
+def test_import_chooses_in_bags(capsys, here):
+    """Another topic's name, a frame that is not there, and options of the other kind: one line each."""
+    assert "no topic /hand; found /command_pose (geometry_msgs/msg/PoseStamped, 20 messages)" in fails(
+        capsys, "import", "commands", "-o", "bag", "--from-topic", "hand"
+    )
+    assert "no way from frame 'base' to 'hand'; found no transforms" in fails(
+        capsys, "import", "commands", "-o", "bag", "--tf", "base", "hand"
+    )
+    assert "--times is for text files" in fails(capsys, "import", "commands", "-o", "bag", "--times", "t.txt")
+    assert "20 poses on /again" in does(
+        capsys, "import", "commands", "-o", "bag", "--topic", "again", "--clock", "receipt"
+    )
 
 
 def test_run_writes_a_bag_named_after_what_went_in(capsys, here):

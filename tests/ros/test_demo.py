@@ -20,11 +20,12 @@ pytest.importorskip("matplotlib")
 
 from finger_sim import FingerSimError, Scene
 from finger_sim.bags.reader import BagReader, BagWriter, read_commands
-from finger_sim.cli import main
+from finger_sim.cli import _parser, main
 from finger_sim.pictures.report import read_health
-from finger_sim.ros import demo, loop
+from finger_sim.ros import demo
 from finger_sim.ros.demo_verdict import held_rate
 from finger_sim.ros.loop import StepCounts
+from finger_sim.ros.options import NodeOptions
 from finger_sim.ros.play import Played
 from finger_sim.scene.resources import find_bag
 
@@ -204,7 +205,7 @@ def test_both_loops_get_the_priority_that_is_permitted(tmp_path, capsys, monkeyp
     """That asked for, or none, which is said."""
     got = []
 
-    def prefer(priority):
+    def schedule(*_):
         if not permitted:
             raise PermissionError(1, "Operation not permitted")
 
@@ -212,12 +213,24 @@ def test_both_loops_get_the_priority_that_is_permitted(tmp_path, capsys, monkeyp
         got.append(parameters["realtime_priority"])
         raise demo.DemoError("far enough")
 
-    monkeypatch.setattr(loop, "prefer_this_thread", prefer)
+    monkeypatch.setattr(os, "sched_setscheduler", schedule)
     monkeypatch.setattr(demo, "bare_loop", lambda dt, seconds, priority: got.append(priority))
     monkeypatch.setattr(demo, "_drive", drive)
     assert main(["demo", "--priority", given, "--out", str(tmp_path / "out")]) == 1
     assert got == [priority, priority]
     assert ("priority 7 is not permitted here" in capsys.readouterr().err) == (not permitted and given != "0")
+
+
+def test_demo_and_node_ask_for_the_same_priority():
+    """Unless told otherwise."""
+    assert _parser().parse_args(["demo"]).priority == demo.PRIORITY == NodeOptions().realtime_priority == 20
+
+
+def test_the_help_says_that_a_demo_has_a_domain_of_its_own(capsys):
+    """So that nobody looks for its topics where other nodes are."""
+    with pytest.raises(SystemExit, match="0"):
+        main(["demo", "--help"])
+    assert "in a ROS domain of their own" in capsys.readouterr().out
 
 
 @for_each("given", ["-1", "100", "high"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import getpass
+import os
 import threading
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -9,7 +11,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from finger_sim.ros import loop as module
-from finger_sim.ros.loop import RateLoop, StepCounts, TriggeredLoop
+from finger_sim.ros.loop import RateLoop, StepCounts, TriggeredLoop, prefer_this_thread
 
 
 class Clock:
@@ -159,3 +161,22 @@ def test_an_error_in_a_step_ends_the_loop_and_is_kept():
     loop._thread.join(60.0)
     assert isinstance(loop.error, ZeroDivisionError)
     assert loop.progress.steps == 1
+
+
+def test_a_priority_that_is_not_permitted_is_told_with_what_permits_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line for the system's limits names the user; none is asked for with 0, and children inherit none."""
+    asked: list[tuple[int, int]] = []
+
+    def schedule(_: int, policy: int, parameters: os.sched_param) -> None:
+        asked.append((policy, parameters.sched_priority))
+        if parameters.sched_priority > 7:
+            raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", schedule)
+    assert prefer_this_thread(0) is None
+    assert asked == []
+    assert prefer_this_thread(7) is None
+    assert asked == [(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 7)]
+    refused = prefer_this_thread(20)
+    assert refused is not None
+    assert f"'{getpass.getuser()} - rtprio 20'" in refused

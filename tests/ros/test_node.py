@@ -34,6 +34,9 @@ REPORTED = {
 }  # fmt: skip
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
+PRESSED = 0.0063
+"""Height [m] at which the flat finger is pressed in by a millimetre."""
+
 
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
@@ -43,6 +46,8 @@ def node(tmp_path_factory):
         node.wait_for("ready after")
         yield node
         assert node.end() == 0
+        ended = re.findall(r"recorded (/\S+):", node.output)
+        assert len(ended) == len(set(ended)), "a recording of before was told as new"
 
 
 @pytest.fixture(scope="module")
@@ -288,8 +293,8 @@ def test_reset_says_the_pose(client):
     assert "0.007" in answer.message
 
 
-def test_recordings_on_and_off_twice(client):
-    """Two files, both readable by an independent reader, with all topics and without a gap."""
+def test_recordings_on_and_off_twice(client, node):
+    """Two files, both readable by an independent reader, with all topics and without a gap; the log tells of both."""
     paths = []
     planes = client.node.create_publisher(PoseStamped, "plane_pose", 10)
     for _ in range(2):
@@ -306,6 +311,8 @@ def test_recordings_on_and_off_twice(client):
         assert str(paths[-1]) in answer.message
     assert not client.call(SetBool, "/finger/record", SetBool.Request(data=False)).success
     assert paths[0] != paths[1]
+    told = re.findall(r"(recording|recorded) (/[^\s:]+)", node.output)
+    assert told == [(word, str(path)) for path in paths for word in ("recording", "recorded")]
     for path in paths:
         assert (path / "metadata.yaml").is_file()
         topics = {t.name: t for t in BagReader(path).topics}
@@ -457,6 +464,28 @@ def test_a_signal_ends_the_node_with_its_bag_closed(tmp_path, number):
     reader = BagReader(bag)
     assert reader.warning is None
     assert {t.name: t.count for t in reader.topics}["/device/pose"] > 0
+
+
+def test_a_light_touch_at_rest_is_no_warning(tmp_path):
+    """A millimetre into the pad some limits lock: that is told as a value, and warned of only with what goes wrong."""
+    message = command(0.0)
+    q = message.pose.orientation
+    q.x = q.w = 0.5**0.5
+    with NodeProcess(tmp_path / "log", "-p", "scene:=finger_coupled") as node, Client(node.domain) as client:
+        node.wait_for("ready after")
+        assert "real-time priority" in node.output
+        heights = iter(np.linspace(0.009, PRESSED, 40))
+
+        def press():
+            message.pose.position.z = next(heights, PRESSED)
+            client.publish(message)
+
+        client.until(lambda: message.pose.position.z == PRESSED, press)
+        status, values = client.report(press)
+        assert values["status"] == "LOCKED"
+        assert int(values["steps with status"]) > 0
+        assert not re.search(r"LOCKED| in \d+ of \d+ steps", status.message)
+        assert node.end() == 0
 
 
 STUCK = """

@@ -26,33 +26,12 @@ def stepper(**options: Any) -> tuple[Stepper, NodeOptions]:
 FORCE = np.array([0.0, 0.0, 4.0, 0.0, 0.1, 0.0])
 
 
-def test_it_comes_in_on_a_ramp_and_anew_after_a_pause() -> None:
-    node, options = stepper(force_ramp=0.1)
-    for _ in range(2):
-        first = [node._rendered(FORCE, options)[2] for _ in range(150)]
-        assert first[:100] == pytest.approx(0.04 * np.arange(1, 101))
-        assert first[100:] == pytest.approx([4.0] * 50)
-        assert not node._silenced().any()
-
-
-def test_the_clamps_hold_after_the_scale_too() -> None:
-    node, options = stepper(force_ramp=0.0, force_scale=5.0)
-    assert node._rendered(FORCE, options) == pytest.approx([0.0, 0.0, 10.0, 0.0, 0.5, 0.0])
-    node, options = stepper(force_ramp=0.0, force_scale=0.0)
-    assert node._rendered(FORCE, options) == pytest.approx(np.zeros(6))
-
-
-def test_what_is_not_finite_is_not_sent() -> None:
-    node, options = stepper()
-    assert not node._rendered(np.array([np.nan, 0.0, 1.0, 0.0, 0.0, 0.0]), options).any()
-
-
 def test_between_commands_the_port_keeps_the_delay_of_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 30 ms here and 30 back, and what passed since its receipt."""
     (node, options), told = stepper(), []
     monkeypatch.setattr(node.port, "step", lambda wrench, motion, delay, fresh: told.append((delay, fresh)))
     monkeypatch.setattr("finger_sim.ros.stepper.time.monotonic", lambda: 5.002)
-    command = Command(Pose(), 5.0, 0.03)
+    command = Command(Pose(), 5_000_000_000, 0.03)
     node._passive(FORCE, command, options)
     node._followed = command
     node._passive(FORCE, command, options)
@@ -65,13 +44,14 @@ def test_a_target_of_the_plane_is_taken_once() -> None:
     clock: Any = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=0))
     node, taken = Stepper(Scene.load("finger_coupled"), outputs, clock, None), []
     result: Any = SimpleNamespace(device_wrench=FORCE)
-    node.sim = SimpleNamespace(step=lambda command, plane: taken.append(plane) or result)  # type: ignore[assignment]
+    step = lambda command, plane, now: taken.append(plane) or result  # noqa: E731
+    node.sim = SimpleNamespace(step=step)  # type: ignore[assignment]
     node.window = SimpleNamespace(add=lambda _: None)  # type: ignore[assignment]
     targets = [Pose(), Pose((0.0, 0.0, 0.1))]
     for target in targets:
         node.plane = target
-        node.tick()
-        node.tick()
+        node.tick(0, [])
+        node.tick(0, [])
     assert taken == [targets[0], None, targets[1], None]
 
 
@@ -105,8 +85,9 @@ def test_a_step_works_on_one_snapshot_of_the_options() -> None:
     node = Stepper(scene, outputs, clock, SimpleNamespace(warning=print, info=print))
     node.prepare(lambda _: None)
     for step in range(20):
-        node.newest = Command(Pose((0.0, 0.0, 0.01 - 1e-5 * step)), time.monotonic())
+        now = time.monotonic_ns()
+        node.newest = Command(Pose((0.0, 0.0, 0.01 - 1e-5 * step)), now)
         before = outputs.looks
-        node.tick()
+        node.tick(now, [node.newest])
         assert outputs.looks == before + 1
     assert outputs.mesh_messages > 0

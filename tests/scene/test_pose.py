@@ -12,7 +12,7 @@ import pytest
 
 from finger_sim import BagError, Pose, Scene, SceneError, Simulator
 from finger_sim.bags import cdr
-from finger_sim.bags.imports import import_csv
+from finger_sim.bags.imports.poses import import_poses
 from finger_sim.bags.reader import BagWriter, read_commands
 from finger_sim.scene import checked_pose
 from finger_sim.simulation.replay import run
@@ -67,7 +67,7 @@ def test_every_way_in_judges_alike(simulator: Simulator, tmp_path: Path) -> None
             "t,x,y,z,qx,qy,qz,qw\n" + ",".join(map(repr, (0.0, *position, *orientation)))
         )
         number = len(list(tmp_path.glob("csv*")))
-        return taken(lambda: import_csv(tmp_path / "poses.csv", tmp_path / f"csv{number}"))
+        return taken(lambda: import_poses(tmp_path / "poses.csv", tmp_path / f"csv{number}"))
 
     def by_bag(position: Any, orientation: Any) -> bool:
         number = len(list(tmp_path.glob("bag*")))

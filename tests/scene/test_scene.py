@@ -47,6 +47,7 @@ FULL: dict[str, Any] = {
     },
     "coupling": {
         "type": "kinematic",
+        "following": "linear",
         "stiffness": 250.0,
         "damping": 2.0,
         "rotational_stiffness": 0.5,
@@ -170,7 +171,7 @@ def test_wrong_number_of_components() -> None:
 
 def test_texts_and_choices() -> None:
     """A text or choice key refuses anything else; a choice names what there is to choose from."""
-    assert len(TEXTS) == 5
+    assert len(TEXTS) == 6
     for key in TEXTS:
         for bad in (3, 1.5, True, ["a"], {"a": 1}):
             assert refused_key(key, bad).key == key

@@ -6,15 +6,13 @@ which tests/studies/tradeoff/test_tradeoff.py holds them to.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from ...errors import FingerSimError
+from ...console import make_files
 from ...scene import Scene
 from ..bench.bench import describe_machine
 from .grid import AWAKE, reference
@@ -106,15 +104,8 @@ def _short(value: float) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Makes the presets in a folder."""
-    parser = argparse.ArgumentParser(prog="python -m finger_sim.studies.tradeoff.presets", description=main.__doc__)
-    parser.add_argument("folder", type=Path, help="where to put them: config/presets")
-    try:
-        for path in make_presets(parser.parse_args(arguments).folder):
-            print(path)
-    except FingerSimError as error:
-        print(error, file=sys.stderr)
-        return 1
-    return 0
+    module, place = "finger_sim.studies.tradeoff.presets", "where to put them: config/presets"
+    return make_files(module, "Makes the presets in a folder.", place, make_presets, arguments)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,8 +13,7 @@ import numpy as np
 import yaml
 
 from ...arrays import Floats
-from ...console import say
-from ...errors import FingerSimError
+from ...console import make_files, say
 from ...haptics.budget import fingerprint, ladder
 from ...scene import Pose, Scene
 from ...simulation.simulator import Simulator
@@ -74,18 +71,18 @@ def claims(names: Sequence[str] = SCENES) -> dict[str, Any]:
     return {"motion": BAG, "date": describe_machine()["date"], "scenes": scenes}
 
 
+def make_claims(file: Path) -> list[Path]:
+    """Measures what the rungs of a time budget cost, and writes it to a file."""
+    head = "# Errors of contact force on each rung of solver.budget_ms, as a part of the peak force of the motion.\n"
+    file.write_text(head + yaml.safe_dump(claims(), sort_keys=False), encoding="utf-8")
+    return [file]
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measures what the rungs of a time budget cost, and writes it to a file."""
-    parser = argparse.ArgumentParser(prog="python -m finger_sim.studies.tradeoff.rungs", description=main.__doc__)
-    parser.add_argument("file", type=Path, help="where to write: config/presets/rungs.yaml")
-    file = parser.parse_args(arguments).file
-    head = "# Errors of contact force on each rung of solver.budget_ms, as a part of the peak force of the motion.\n"
-    try:
-        file.write_text(head + yaml.safe_dump(claims(), sort_keys=False), encoding="utf-8")
-    except (OSError, FingerSimError) as error:
-        print(error, file=sys.stderr)
-        return 1
-    return 0
+    module, place = "finger_sim.studies.tradeoff.rungs", "where to write: config/presets/rungs.yaml"
+    what = "Measures what the rungs of a time budget cost, and writes it to a file."
+    return make_files(module, what, place, make_claims, arguments)
 
 
 if __name__ == "__main__":

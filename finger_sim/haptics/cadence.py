@@ -1,0 +1,129 @@
+"""When commands come: how often, how evenly, how long each has to last; and the time that each was meant for.
+
+Commands reach a node with jitter of two kinds. Either the hand was sampled unevenly, and each pose is of the time at
+which it came; or it was sampled evenly, and only the way here took now more, now less. In the first case a path through
+the poses at their times of receipt is the hand's; in the second it is one at even intervals. Nobody tells which, but
+the hand does not jerk: of the two times a command is given the one at which its velocity changes less, as it turned out
+for the commands before.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .path import Numbers
+
+REMEMBERED = 0.5
+"""Least time for which extremes are remembered [s]; twice that at most."""
+FITTED = 20
+"""Commands over which even times are fitted: a straight line of receipt against count, in the form of a g-h filter
+whose gains are those of a least-squares fit until there are so many (Brookner 1998, Tracking and Kalman Filtering Made
+Easy, section 1.2.10)."""
+BEGINNING = 8
+"""Commands until even times are trusted."""
+LATELY = 16
+"""Commands over which means are taken."""
+OUTLIER = 8.0
+"""A wait longer than so many mean ones is a gap of its own, and says nothing of the next."""
+LEVER = 0.05
+"""A turn of 1 rad counts as a way of this length where velocities are compared [m]."""
+
+
+class Cadence:
+    """Of one stream of commands. Times are in s, of any one clock.
+
+    interval : mean time between commands; 0 until there are two
+    jitter   : mean deviation of their receipt from even times
+    count    : commands heard, FITTED at most
+    """
+
+    def __init__(self, received: float, at: Numbers) -> None:
+        self.interval = self.jitter = 0.0
+        self.count = 0
+        self.time = received
+        """That the last command was meant for."""
+        self.received = received
+        """When it came."""
+        self._begin = self._even = received
+        self._waits, self._gaps = _Extremes(), _Extremes()
+        self._mean_wait = 0.0
+        self._at = at
+        self._velocities: tuple[Numbers, Numbers] | None = None
+        self._unrest_received = self._unrest_even = 0.0
+
+    @property
+    def longest_wait(self) -> float:
+        """Longest time that a command lately had to last until the next one was there; 0 until there are two."""
+        return self._waits.largest
+
+    @property
+    def spread(self) -> float:
+        """Longest less shortest interval between two commands lately."""
+        return max(0.0, self._gaps.largest - self._gaps.smallest)
+
+    def hear(self, received: float, now: float, at: Numbers) -> float:
+        """The next command came, and is followed from `now` on; the time that it was meant for, later than the last."""
+        gap, wait = received - self.received, now - self.time
+        self.received = received
+        self._gaps.add(now, gap)
+        mean = self._mean_wait = self._mean_wait + (wait - self._mean_wait) / LATELY if self._mean_wait else wait
+        if wait < OUTLIER * mean:
+            self._waits.add(now, wait)
+        step = self._fit(received)
+        if at != self._at:
+            self._compare(gap, step, at)
+        even, uneven = self._unrest_even**4, self._unrest_received**4
+        share = uneven / (uneven + even) if self.count > BEGINNING and uneven + even > 0.0 else 0.0
+        self.time = max(received + share * (self._even - received), self.time + 1e-9)
+        return self.time
+
+    def _fit(self, received: float) -> float:
+        """Fits the line; the even time of the next command after that of the one before."""
+        k = self.count = min(self.count + 1, FITTED)
+        if k <= 2:
+            before, self._even = self._even, received
+            self.interval = (received - self._begin) / k
+            return received - before
+        step = self.interval
+        off = received - (self._even + step)
+        self._even += step + off * 2.0 * (2.0 * k - 1.0) / (k * (k + 1.0))
+        self.interval = max(self.interval + off * 6.0 / (k * (k + 1.0)), 0.0)
+        self.jitter += (abs(off) - self.jitter) / min(k - 2, LATELY)
+        return step
+
+    def _compare(self, gap: float, step: float, at: Numbers) -> None:
+        """How much the hand's velocity changes by receipt, and by even times."""
+        shortest = max(0.05 * self.interval, 1e-6)
+        way = [b - a for a, b in zip(self._at, at, strict=True)]
+        self._at = at
+        way[3:] = [2.0 * LEVER * c for c in way[3:]]
+        x, y = (1.0 / max(time, shortest) for time in (gap, step))
+        by_receipt, by_step = tuple(x * c for c in way), tuple(y * c for c in way)
+        if self._velocities is not None:
+            before = self._velocities
+            self._unrest_received += (math.dist(by_receipt, before[0]) - self._unrest_received) / LATELY
+            self._unrest_even += (math.dist(by_step, before[1]) - self._unrest_even) / LATELY
+        self._velocities = by_receipt, by_step  # type: ignore[assignment]
+
+
+class _Extremes:
+    """Largest and smallest of what was added lately: in this stretch of REMEMBERED, and in the one before."""
+
+    def __init__(self) -> None:
+        self._begin = -math.inf
+        self._before = self._present = (math.inf, 0.0)
+
+    @property
+    def smallest(self) -> float:
+        return min(self._present[0], self._before[0])
+
+    @property
+    def largest(self) -> float:
+        return max(self._present[1], self._before[1])
+
+    def add(self, now: float, value: float) -> None:
+        if now - self._begin > REMEMBERED:
+            self._before = self._present if now - self._begin < 2.0 * REMEMBERED else (math.inf, 0.0)
+            self._present, self._begin = (math.inf, 0.0), now
+        low, high = self._present
+        self._present = min(low, value), max(high, value)

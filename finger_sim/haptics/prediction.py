@@ -1,0 +1,78 @@
+"""Where a hand is by now, from where it was and how fast: first order, bounded, without delay."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+from ..physics.rotations import normalised
+from ..scene import Pose
+from .cadence import Cadence
+from .path import Numbers, numbers
+
+LAST = 3
+"""Commands from which a velocity is taken: two intervals even out half of a jitter, and are not old yet."""
+FARTHEST = 1.5
+"""Longest waits that are predicted over; a hand of which nothing was heard for longer is taken to have stopped."""
+PULL = 4.0
+"""Rate at which the bone is drawn to the prediction, times the interval of commands, over which errors are spread."""
+HARDEST, FASTEST = 300.0, 1.0
+"""Largest rate [1/s], and largest rate times way [m/s], at which it is drawn."""
+NEAR, SLOW = 1e-9, 1e-6
+"""Of a bone that has come to rest at the last command: way [m] and velocity [m/s]."""
+
+_NOTHING: Numbers = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Prediction:
+    """Draws the bone to the straight line that the hand went on last, without overshoot: it never jumps.
+
+    The way off the line falls as that of a critically damped spring; in the line itself nothing lags.
+    """
+
+    def __init__(self, pose: Pose) -> None:
+        self._pose = pose
+        self._at: Sequence[float] = numbers(pose)
+        self._rate: Sequence[float] = _NOTHING
+        self._heard: deque[tuple[float, Numbers]] = deque(maxlen=LAST)
+        self._pull, self._horizon = HARDEST, 0.0
+
+    def begin(self, time: float, at: Numbers) -> None:
+        """A first command, or the first after a pause, meant for a time [s]."""
+        self._at = numbers(self._pose, at)
+        self._rate = _NOTHING
+        self._heard.clear()
+        self._heard.append((time, at))
+        self._pull = min(HARDEST, FASTEST / max(math.dist(self._at, at), NEAR))
+
+    def hear(self, time: float, at: Numbers, cadence: Cadence) -> None:
+        """The next command."""
+        self._heard.append((time, at))
+        way = max(math.dist(self._at, at), NEAR)
+        self._pull = min(PULL / max(cadence.interval, 1e-6), HARDEST, FASTEST / way)
+        self._horizon = FARTHEST * cadence.longest_wait
+
+    def advance(self, last: Pose, time: float, dt: float) -> Pose:
+        """One step of `dt` that ends at a time [s]; `last`: the command heard last."""
+        if not self._heard:
+            return self._pose
+        (first, there), (newest, here) = self._heard[0], self._heard[-1]
+        age = time - newest
+        speed: Sequence[float] = _NOTHING
+        if newest > first and age <= self._horizon:
+            speed = [(b - a) / (newest - first) for a, b in zip(there, here, strict=True)]
+        at, rate = [], []
+        fall, pull = math.exp(-self._pull * dt), self._pull
+        for x, v, goal, w in zip(self._at, self._rate, here, speed, strict=True):
+            off = x - (goal + w * (age - dt))
+            drift = v - w + pull * off
+            at.append(goal + w * age + (off + drift * dt) * fall)
+            rate.append(w + (v - w - pull * drift * dt) * fall)
+        self._at, self._rate = at, rate
+        if not any(speed) and math.dist(at, here) < NEAR and math.hypot(*rate) < SLOW:
+            self._at, self._rate, self._pose = here, _NOTHING, last
+        else:
+            x, y, z, *turn = at
+            self._pose = Pose((x, y, z), normalised(turn))
+        return self._pose
