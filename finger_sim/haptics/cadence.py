@@ -52,6 +52,11 @@ class Cadence:
         self._unrest_received = self._unrest_even = 0.0
 
     @property
+    def known(self) -> bool:
+        """Whether enough commands came to tell their rate."""
+        return self.count >= BEGINNING and self.interval > 0.0
+
+    @property
     def longest_wait(self) -> float:
         """Longest time that a command lately had to last until the next one was there; 0 until there are two."""
         return self._waits.largest

@@ -16,6 +16,8 @@ from .stepper import DOUBTFUL, Stepper, Window
 
 STALL = 0.5
 """Time without a step after which the loop counts as stalled [s]."""
+SLOW_COMMANDS = 100.0
+"""Rate of commands [Hz] below which a device feels that its hand is followed late."""
 
 
 class Reporter:
@@ -68,7 +70,8 @@ class Reporter:
         delay_median, delay_p99 = self._stepper.delay.percentiles(50, 99)
         transport = self._stepper.transport.percentiles(50)[0]
         port = self._stepper.port
-        stiffness = stable_stiffness(options.device_damping, period, delay_p99 + 2.0 * transport)
+        behind = self._following(values, problems) if options.mode == "free" else 0.0
+        stiffness = stable_stiffness(options.device_damping, period, delay_p99 + 2.0 * transport + behind)
         values.update(
             {
                 "mode": options.mode,
@@ -118,6 +121,24 @@ class Reporter:
             problems.append((1, f"{progress.overruns - before.overruns} {what}"))
         if window.doubtful:
             problems.append((1, f"{(window.status & DOUBTFUL).name} in {window.doubtful} of {window.steps} steps"))
+
+    def _following(self, values: dict[str, str], problems: list[tuple[int, str]]) -> float:
+        """How commands come and are followed; by how much the bone is behind them [s]."""
+        follower, following = self._stepper.sim.follower, self._stepper.scene.coupling.following
+        cadence, mode, delay = follower.cadence, follower.mode(following), follower.delay(following)
+        values["following"] = mode if mode == following else f"{following}: {mode}"
+        values["following delay [ms]"] = f"{1e3 * delay:.1f}"
+        if cadence is None or not cadence.known:
+            return delay
+        rate = 1.0 / cadence.interval
+        values["command rate [Hz]"] = f"{rate:.1f}"
+        values["command jitter [ms]"] = f"{1e3 * cadence.jitter:.2f}"
+        if rate < SLOW_COMMANDS and not self._stepper.rendering.stale and self._outputs.heard("device_wrench"):
+            how = {"linear": f"followed {1e3 * delay:.0f} ms late", "predict": "predicted"}.get(
+                mode, "held: each jumps"
+            )
+            problems.append((1, f"a device is fed {rate:.0f} commands a second, {how}; send {SLOW_COMMANDS:g} or more"))
+        return delay
 
     def _rung(self, values: dict[str, str], problems: list[tuple[int, str]]) -> None:
         budget, rungs, scene = self._stepper.budget, self._stepper.rungs, self._stepper.scene

@@ -155,12 +155,12 @@ class Outputs:
         now = time.monotonic()
         if options.mesh_rate > 0.0 and now >= self._mesh_due:
             self._mesh_due = _next_due(self._mesh_due, now, 1.0 / options.mesh_rate)
-            if self._heard("mesh_points") or (self.recorder is not None and self.recorder.active):
+            if self.heard("mesh_points") or (self.recorder is not None and self.recorder.active):
                 self.send("mesh_points", self._mesh_points(sim, out.pose, stamp), at)
                 self.mesh_messages += 1
         if options.marker_rate > 0.0 and now >= self._marker_due:
             self._marker_due = _next_due(self._marker_due, now, 1.0 / options.marker_rate)
-            if self._heard("mesh_marker"):
+            if self.heard("mesh_marker"):
                 self.send("mesh_marker", self._mesh_marker(sim, stamp, options))
         if now >= self._tf_due:
             self._tf_due = _next_due(self._tf_due, now, TF_PERIOD)
@@ -169,7 +169,8 @@ class Outputs:
             if self._broadcast is not None:
                 self._broadcast.send(out.pose, sim.plane_pose, stamp)
 
-    def _heard(self, topic: str) -> bool:
+    def heard(self, topic: str) -> bool:
+        """Whether anybody subscribes to a topic."""
         return bool(self._publishers[topic].get_subscription_count() > 0)
 
     def _mesh_points(self, sim: Simulator, pose: Pose, stamp: int) -> bytes:

@@ -149,7 +149,7 @@ class Replay:
                 commands = commands[-1:]
                 zero = commands[0].log_time
                 simulator.reset(commands[0].pose, places[-1].pose if places else None)
-                summary.set_down_by = simulator.set_down_by
+                summary.set_down_by, places = simulator.set_down_by, []
                 output.begin(simulator)
             clock = time.perf_counter()
             answers = commands[-1].pose if self.mode == "triggered" else None

@@ -10,6 +10,22 @@ from ..physics.rotations import matrix
 from ..scene import Pose
 
 
+class Placed:
+    """Points (n, 3) [m] as read, placed at one pose after the other; while one only slides, none is turned anew."""
+
+    def __init__(self, points: Floats) -> None:
+        self._points = self._turned = points
+        self._turn = Pose().orientation
+
+    def at(self, pose: Pose) -> Floats:
+        """Where they are at a pose, (n, 3) [m], world."""
+        if pose.orientation != self._turn:
+            self._turn = pose.orientation
+            self._turned = self._points @ matrix(self._turn).T
+        placed: Floats = self._turned + pose.position
+        return placed
+
+
 def carried(points: Floats, before: Pose, after: Pose) -> Floats:
     """Points (n, 3) [m], world, that go with a frame from one pose to another."""
     turn = matrix(after.orientation) @ matrix(before.orientation).T

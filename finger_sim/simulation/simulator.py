@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Floats
+from ..arrays import Floats, read_only
 from ..errors import SceneError
 from ..haptics.coupling import device_wrench, outside, set_down, spring_wrench
+from ..haptics.following import Follower
 from ..physics import step as stepping
 from ..physics.clock import STAGES
 from ..physics.compile import compiling
@@ -28,7 +29,7 @@ from .drive import Drive
 from .ground import Ground
 from .guard import Guard, Verdict
 from .result import StepResult
-from .rigid import best_fit, carried, twist_of
+from .rigid import Placed, best_fit, carried, twist_of
 
 Tell = Callable[[str], None]
 """Takes short texts on what is going on."""
@@ -54,7 +55,7 @@ class Simulator:
         self._model = build_model(scene, self.mesh)
         self._state = build_state(self._model, self.mesh.points, timed)
         self._rest_driven = self.mesh.points[self._model.driven]
-        self._turned_by, self._turned_driven = Pose().orientation, self._rest_driven
+        self._placed = Placed(self._rest_driven)
         self._driven = scene.driven is not None
         self._skin = self.mesh.points[self._model.contact_nodes]
         self._yields = scene.coupling.type == "virtual"
@@ -160,13 +161,14 @@ class Simulator:
             state.origin[:] = self.pose.position
         if self._timed:
             state.laps[len(STAGES)] = time.perf_counter()  # the same clock as compiled code's
-        advance(self._ready, self._rest_driven if self._yields else self._targets(), h)
+        advance(self._ready, self._rest_driven if self._yields else self._placed.at(self.pose), h)
         result: list[float] = state.result.tolist()
         status = int(result[stepping.STATUS])
         if status & _REJECTED:
             self._move_rigidly(before, self.pose, h)
         elif self._yields:
-            self.pose = _pose_of(state.bone[:7].tolist())
+            x, y, z, *turn = state.bone[:7].tolist()
+            self.pose = Pose((x, y, z), tuple(turn))
         if self._guard.broken(status, result, h):
             self._restore()
             result[stepping.STATUS] = status | _RESTORED
@@ -277,6 +279,11 @@ class Simulator:
         return self._steps * self.scene.dt
 
     @property
+    def follower(self) -> Follower:
+        """How commands come and are followed: its `cadence`, `delay` and `mode`."""
+        return self._drive.follower
+
+    @property
     def stage_seconds(self) -> dict[str, float]:
         """Time spent in each stage of the steps since the last reset [s]; empty unless `timed`."""
         return dict(zip(STAGES, self._state.laps.tolist(), strict=False))
@@ -284,12 +291,12 @@ class Simulator:
     @property
     def positions(self) -> Floats:
         """Node positions (n, 3) [m], world, read-only; a view that the next step changes."""
-        return _read_only(self._state.x[:, :3])
+        return read_only(self._state.x[:, :3])
 
     @property
     def velocities(self) -> Floats:
         """Node velocities (n, 3) [m/s], world, read-only."""
-        return _read_only(self._state.v[:, :3])
+        return read_only(self._state.v[:, :3])
 
     @property
     def work(self) -> dict[str, int]:
@@ -304,18 +311,18 @@ class Simulator:
     @property
     def node_mass(self) -> Floats:
         """Lumped mass of each node (n,) [kg], read-only."""
-        return _read_only(self._model.mass)
+        return read_only(self._model.mass)
 
     @property
     def contact_forces(self) -> Floats:
         """Force of the plane on each node (n, 3) [N], world, read-only."""
-        return _read_only(self._state.contact_force)
+        return read_only(self._state.contact_force)
 
     @property
     def strain_ratio(self) -> Floats:
         """strain/limit of each tetrahedron (T,), 1: exactly at its limit, 0 without limits; read-only."""
         measure_strains(self._ready)
-        return _read_only(self._state.strain_ratio)
+        return read_only(self._state.strain_ratio)
 
     def _use(self, scene: Scene) -> None:
         """The live values of a scene."""
@@ -323,14 +330,6 @@ class Simulator:
         self._state.age[0] = 0
         self._guard.wake()
         self._ready = ready(self._model, self._state)
-
-    def _targets(self) -> Floats:
-        """Where the driven nodes are to be, (nd, 3) [m], at self.pose; the turned rest nodes are kept for the next."""
-        if self.pose.orientation != self._turned_by:
-            self._turned_by = self.pose.orientation
-            self._turned_driven = self._rest_driven @ matrix(self._turned_by).T
-        targets: Floats = self._turned_driven + self.pose.position
-        return targets
 
     def _move_rigidly(self, before: Pose, after: Pose, h: float) -> None:
         """After a rejected step: every node goes with the bone; a body whose bone yields, or that has none, stops."""
@@ -360,15 +359,3 @@ class Simulator:
         self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
         advance(self._ready, self._rest_driven.copy(), self.scene.dt / self.scene.substeps)
         measure_strains(self._ready)
-
-
-def _pose_of(numbers: list[float]) -> Pose:
-    """The pose of position and unit quaternion, seven numbers."""
-    x, y, z, qx, qy, qz, qw = numbers
-    return Pose((x, y, z), (qx, qy, qz, qw))
-
-
-def _read_only(array: Floats) -> Floats:
-    view = array.view()
-    view.setflags(write=False)
-    return view

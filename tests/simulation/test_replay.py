@@ -56,11 +56,17 @@ class FakeSimulator:
         self.contact_forces = np.arange(12.0).reshape(4, 3)
         self.plane_pose = None
 
+    set_down_by = 0.0
+
     def reset(self, pose: Pose, plane: Pose | None = None) -> None:
         self.resets.append(pose)
         self.laid = plane
 
-    def step(self, pose: Pose, plane: Pose | None = None) -> Any:
+    def hear(self, pose: Pose, received: float) -> None:
+        self.newest = pose
+
+    def step(self, pose: Pose | None, plane: Pose | None = None, now: float | None = None) -> Any:
+        pose = pose or self.newest
         self.commands.append(pose)
         self.planes.append(plane)
         self.positions = place(self.mesh.points, pose) + np.array([0.0, 0.0, 0.5])

@@ -36,11 +36,17 @@ class Stub:
         self.strain_ratio = np.zeros(1)
         self.plane_pose = None
 
+    set_down_by = 0.0
+
+    def hear(self, pose: Pose, received: float) -> None:
+        self.newest = pose
+
     def reset(self, pose: Pose, plane: Pose | None = None) -> None:
         self.placed = pose.position[0]
         self.laid = None if plane is None else plane.position[0]
 
-    def step(self, pose: Pose, plane: Pose | None = None) -> Any:
+    def step(self, pose: Pose | None, plane: Pose | None = None, now: float | None = None) -> Any:
+        pose = pose or self.newest
         self.note(pose.position[0], None if plane is None else plane.position[0])
         wrench = np.array([pose.position[0], 0.0, 0.0, 0.0, 0.0, 0.0])
         return SimpleNamespace(
@@ -215,10 +221,10 @@ class Breaks(Stub):
         super().__init__()
         self.k, self.error = k, error
 
-    def step(self, pose: Pose, plane: Pose | None = None) -> Any:
+    def step(self, pose: Pose | None, plane: Pose | None = None, now: float | None = None) -> Any:
         if len(self.told) == self.k:
             raise self.error
-        return super().step(pose, plane)
+        return super().step(pose, plane, now)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("torn"), MemoryError(), KeyboardInterrupt()])
