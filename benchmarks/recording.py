@@ -166,8 +166,9 @@ class Bench:
         self.reports.append({item.key: item.value for item in message.status[0].values})
 
     def _command(self, frame_id: str) -> None:
+        from finger_sim.bags.template import doubles
         from finger_sim.ros.loop import RateLoop
-        from finger_sim.ros.messages import doubles, pose_template
+        from finger_sim.ros.messages import pose_template
 
         template = pose_template(frame_id)
         send = lambda: self.publisher.publish(template.fill(time.time_ns(), doubles(next(self.motion))))  # noqa: E731

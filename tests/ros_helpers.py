@@ -18,10 +18,13 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'finger_sim[ros]'"
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
+import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from domains import DOMAINS
 from geometry_msgs.msg import PoseStamped
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor
@@ -211,6 +214,33 @@ class Client:
         self.next(self.reports, repeat)
         status = self.next(self.reports, repeat).status[0]
         return status, {item.key: item.value for item in status.values}
+
+
+def forces(bag: Path) -> tuple[Any, Any]:
+    """Receipt times (n,) [s] and contact forces (n, 3) [N] of a bag, read with the mcap library."""
+    with next(bag.glob("*.mcap")).open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        rows = [
+            (1e-9 * message.log_time, ros.wrench.force.x, ros.wrench.force.y, ros.wrench.force.z)
+            for _, _, message, ros in reader.iter_decoded_messages(topics=["/contact_wrench"])
+        ]
+    table = np.array(rows)
+    return table[:, 0], table[:, 1:]
+
+
+def beyond_replay(bag: Path, again: Path) -> tuple[Any, Any, Any]:
+    """Live forces of the block while its replay lasts: times (n,), forces (n, 3), and how far each is from the replay.
+
+    (n,) [N]: 0 within the range of what the replay gives within two steps.
+    """
+    (time_live, live), (time_again, replayed) = forces(bag), forces(again)
+    inside = (time_live > time_again[0] + 0.01) & (time_live < time_again[-1] - 0.01)
+    time_live, live = time_live[inside], live[inside]
+    first = np.searchsorted(time_again, time_live - 0.01) - 1
+    last = np.searchsorted(time_again, time_live + 0.01) + 1
+    windows = [replayed[i:j] for i, j in zip(first, last, strict=True)]
+    beyond = [np.maximum(w.min(axis=0) - f, f - w.max(axis=0)).clip(0.0) for w, f in zip(windows, live, strict=True)]
+    return time_live, live, np.linalg.norm(beyond, axis=1)
 
 
 def bag_process(parent: int) -> int:

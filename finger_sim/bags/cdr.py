@@ -7,13 +7,14 @@ Times are integer nanoseconds, lengths [m], forces [N], torques [N·m]; quaterni
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BagError
+from ..scene import Pose
 from .layout import FLOAT32, POINT_FIELDS, POINT_STEP
 
 if TYPE_CHECKING:
@@ -23,6 +24,13 @@ POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 MESH = "shape_msgs/msg/Mesh"
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+PARAMETER_EVENT = "rcl_interfaces/msg/ParameterEvent"
+LOG = "rcl_interfaces/msg/Log"
+EMPTY = "std_msgs/msg/Empty"
+
+STAMPS_END = 2**31 * 1_000_000_000
+"""Times from here on [ns] cannot be stamps of messages: their seconds have 32 bits."""
 
 Vector = Sequence[float] | NDArray[np.float64]
 
@@ -91,6 +99,64 @@ def mesh(vertices: NDArray[np.float64], triangles: NDArray[np.integer[Any]]) -> 
     faces = [_new("shape_msgs/msg/MeshTriangle", face) for face in np.asarray(triangles, dtype=np.uint32)]
     points = [_new("geometry_msgs/msg/Point", float(x), float(y), float(z)) for x, y, z in vertices]
     return _serialize(_new(MESH, faces, points), MESH)
+
+
+def transforms(stamp: int, frame_id: str, poses: Mapping[str, Pose]) -> bytes:
+    """TFMessage: where frames are in `frame_id`, by their names."""
+    vector, quaternion = "geometry_msgs/msg/Vector3", "geometry_msgs/msg/Quaternion"
+    message = [
+        _new(
+            "geometry_msgs/msg/TransformStamped",
+            _header(stamp, frame_id),
+            name,
+            _new(
+                "geometry_msgs/msg/Transform",
+                _new(vector, *(float(v) for v in pose.position)),
+                _new(quaternion, *(float(v) for v in pose.orientation)),
+            ),
+        )
+        for name, pose in poses.items()
+    ]
+    return _serialize(_new(TF_MESSAGE, message), TF_MESSAGE)
+
+
+PARAMETER_FIELDS = {
+    1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 6: "bool_array_value",
+    7: "integer_array_value", 8: "double_array_value", 9: "string_array_value",
+}  # fmt: skip
+"""Where a ParameterValue has its value, by its type; other types are of no parameter of the node."""
+
+
+def parameter_event(stamp: int, node: str, changed: Mapping[str, Any]) -> bytes:
+    """ParameterEvent: parameters of a node, by name, that have these plain values from now on.
+
+    rclpy serialises this type with bytes behind its end, which `rosbags` does not take.
+    """
+    time = _new("builtin_interfaces/msg/Time", *divmod(stamp, 1_000_000_000))
+    values = {name: _parameter_value(value) for name, value in changed.items()}
+    parameters = [_new("rcl_interfaces/msg/Parameter", name, value) for name, value in values.items()]
+    return _serialize(_new(PARAMETER_EVENT, time, node, [], parameters, []), PARAMETER_EVENT)
+
+
+def _parameter_value(value: Any) -> Any:
+    """Of type 0, not set, where no parameter of the node has such a value."""
+    fields: dict[str, Any] = {
+        "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
+        "byte_array_value": np.zeros(0, np.uint8), "bool_array_value": np.zeros(0, np.bool_),
+        "integer_array_value": np.zeros(0, np.int64), "double_array_value": np.zeros(0), "string_array_value": [],
+    }  # fmt: skip
+    of_one, of_several = {bool: 1, int: 2, float: 3, str: 4}, {bool: 6, int: 7, float: 8, str: 9}
+    several = isinstance(value, list) and len(value) > 0
+    kind = of_several.get(type(value[0]), 0) if several else of_one.get(type(value), 0)
+    if kind in PARAMETER_FIELDS:
+        empty = fields[PARAMETER_FIELDS[kind]]
+        fields[PARAMETER_FIELDS[kind]] = np.array(value, empty.dtype) if isinstance(empty, np.ndarray) else value
+    return _new("rcl_interfaces/msg/ParameterValue", kind, *fields.values())
+
+
+def empty() -> bytes:
+    """Empty: nothing but that it came."""
+    return _serialize(_new(EMPTY), EMPTY)
 
 
 def _header(stamp: int, frame_id: str) -> Any:

@@ -6,7 +6,7 @@ import heapq
 import os
 import struct
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -15,17 +15,18 @@ from typing import Any, BinaryIO
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Schema
+from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Metadata, Schema
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 
 from ..errors import BagError
 from .message import Message, Topic
+from .metadata import ORIGIN
 
 MAGIC = b"\x89MCAP0\r\n"
 LONGEST_RUN = 1 << 20
 """Size from which on a run of messages outside of chunks takes no more of them [byte]."""
 ROOM_FOR_END = 1 << 16
-"""What finish_cut_off frees on a full disk [byte]: an end of the file and a metadata.yaml are a tenth of that."""
+"""What finish_cut_off frees on a full disk [byte]: an end of the file and a metadata.yaml are a third of that."""
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -71,8 +72,9 @@ class _File:
 class McapSource:
     """MCAP files read front to back: works the same with and without an index at their end."""
 
-    def __init__(self, paths: Iterable[Path], cut: str | None = None) -> None:
+    def __init__(self, paths: Iterable[Path], cut: str | None = None, origin: Mapping[str, str] | None = None) -> None:
         self.cut = cut
+        self.origin = dict(origin or {})
         self.files = [_File(path) for path in paths]
         self.segments: list[_Segment] = []
         self.start: int | None = None
@@ -127,6 +129,8 @@ class McapSource:
                     elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
                         segment = _Segment(index, offset, 9 + length, chunked=False)
                     else:
+                        if opcode == Opcode.METADATA:
+                            self._learn_origin(index, stream, length)
                         offset = stream.seek(offset + 9 + length)
                         continue
                     for channel, sequence, log_time, _, _ in self._read(stream, segment):
@@ -148,6 +152,21 @@ class McapSource:
             if stream.read() != MAGIC:
                 return f"{file.path}: cut off in its index; all messages are there", numbers
         return None, numbers
+
+    def _learn_origin(self, index: int, stream: BinaryIO, length: int) -> None:
+        """Words on the bag's making, if the metadata record at the stream's place has some; of each the first counts.
+
+        Which part of a bag a file is matters only where those before it are not read too.
+        """
+        try:
+            record = Metadata.read(ReadDataStream(BytesIO(stream.read(length))))
+        except _BROKEN:
+            raise _Damaged("a broken record") from None
+        if record.name == ORIGIN:
+            part = record.metadata.pop("part", None)
+            self.origin = record.metadata | self.origin
+            if part is not None and index == 0:
+                self.origin["part"] = part
 
     def _add(self, segment: _Segment) -> None:
         """One more segment, the next in its file; messages outside of chunks join the run before them."""

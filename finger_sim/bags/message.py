@@ -38,4 +38,7 @@ class Source(Protocol):
     cut: str | None
     """Why its writer ended it early, as its metadata says; it is whole all the same."""
 
+    origin: dict[str, str]
+    """Words on its making (`bags.origin`), as far as it holds them."""
+
     def messages(self) -> Iterator[Message]: ...

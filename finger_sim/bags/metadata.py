@@ -8,8 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 CUT = "cut"
 """Word in the metadata of a bag that ends before what was to be recorded; why and where stands behind it."""
+
+ORIGIN = "finger_sim"
+"""Name of the MCAP metadata records that say what made a bag (`bags.origin`), and beginning of such words' names."""
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
@@ -106,6 +111,38 @@ def information(
         "custom_data": dict(custom_data) or None,
         "ros_distro": "jazzy",
     }
+
+
+def with_origin(custom_data: Mapping[str, str], origin: Mapping[str, str]) -> dict[str, str]:
+    """A bag's custom data, with the words on its making under their longer names."""
+    return {**custom_data, **{f"{ORIGIN}.{name}": text for name, text in origin.items()}}
+
+
+def origin_in(custom_data: Any) -> dict[str, str]:
+    """The words on its making in a bag's custom data, or in what stands in its place."""
+    if not isinstance(custom_data, dict):
+        return {}
+    prefix = f"{ORIGIN}."
+    return {
+        name.removeprefix(prefix): str(text)
+        for name, text in custom_data.items()
+        if isinstance(name, str) and name.startswith(prefix)
+    }
+
+
+def yaml_text(content: Any) -> str:
+    """YAML in which texts of several lines stay readable."""
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes a text of several lines as such."""
+
+    def represent_str(self, data: str) -> yaml.ScalarNode:
+        return self.represent_scalar("tag:yaml.org,2002:str", data, style="|" if "\n" in data else None)
+
+
+_Dumper.add_representer(str, _Dumper.represent_str)
 
 
 def _times(parts: Sequence[Part]) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """A process that writes bags, one after the other, for another that must not wait.
 
 `python -m finger_sim.bags.process DESCRIPTOR` takes messages from the Ring in that file. Its standard input says what
-to do, its standard output what came of it; both are lines of JSON. An `Order` begins a bag, and {} finishes it when
-all messages put before are in it. The answers are {"opened": true}, {"closed": true}, and {"error": why the bag
+to do, its standard output what came of it; both are lines of JSON. An `Order` begins a bag, and an `Ending` finishes it
+when all messages put before are in it. The answers are {"opened": true}, {"closed": true}, and {"error": why the bag
 ended}.
 
 When the other process is gone its end of the pipe closes, and the bag is finished with all that it put: so this one
@@ -54,6 +54,13 @@ class Order(TypedDict):
     """Of BagWriter."""
 
 
+class Ending(TypedDict):
+    """The end of a bag."""
+
+    origin: dict[str, str]
+    """What is known only now of what made it (`bags.origin`)."""
+
+
 class Scribe:
     """Writes what is in the ring; `answer` is told what came of an order."""
 
@@ -68,9 +75,13 @@ class Scribe:
         """Whether there is a bag to write."""
         return self._bag is not None
 
-    def obey(self, order: Order | None) -> None:
-        """Begins a bag, or finishes it."""
-        self._safely(self._finish if order is None else lambda: self._begin(order))
+    def begin(self, order: Order) -> None:
+        """Begins a bag."""
+        self._safely(lambda: self._begin(order))
+
+    def finish(self, ending: Ending) -> None:
+        """Finishes the bag, if there is one."""
+        self._safely(lambda: self._finish(ending))
 
     def write(self) -> None:
         """Writes what is in the ring; what has been in memory for long goes to the operating system."""
@@ -107,9 +118,10 @@ class Scribe:
             self._bag.flush()
             self._flushed = time.monotonic()
 
-    def _finish(self) -> None:
+    def _finish(self, ending: Ending) -> None:
         if self._bag is not None:
             self._write()
+            self._bag.say_at_end(ending["origin"])
             self._bag.close()
             self._bag = None
             self._answer({"closed": True})
@@ -140,9 +152,13 @@ def main() -> int:
                 break
             *lines, heard = (heard + data).split(b"\n")
             for line in lines:
-                scribe.obey(json.loads(line) or None)
+                order = json.loads(line)
+                if "path" in order:
+                    scribe.begin(order)
+                else:
+                    scribe.finish(order)
         scribe.write()
-    scribe.obey(None)
+    scribe.finish({"origin": {}})
     return 0
 
 

@@ -95,6 +95,8 @@ class BagReader:
         self.truncated = self.warning is not None
         self.cut = self._source.cut
         """Why its writer ended it early, where it said so; all of such a bag can be read."""
+        self.origin = self._source.origin
+        """Words on what made it, for `bags.origin`; empty where it says nothing."""
 
     @property
     def duration(self) -> float:

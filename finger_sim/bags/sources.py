@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -13,7 +13,7 @@ import yaml
 from ..errors import BagError
 from .mcap_files import McapSource
 from .message import Message, Source, Topic
-from .metadata import CUT
+from .metadata import CUT, origin_in
 
 ROS1_MAGIC = b"#ROSBAG V"
 """What bags of ROS 1 begin with."""
@@ -50,9 +50,11 @@ def _refuse_ros1(path: Path) -> None:
 
 
 def _open_folder(path: Path, information: dict[str, Any]) -> Source:
+    custom = information.get("custom_data")
+    origin = origin_in(custom)
     compressed = information.get("compression_mode") not in ("", "NONE", "none", None)
     if information.get("storage_identifier") != "mcap" or compressed:
-        return _RosbagsSource(path)
+        return _RosbagsSource(path, origin)
     names = information.get("relative_file_paths")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         key = f"{path / 'metadata.yaml'}: relative_file_paths"
@@ -61,8 +63,8 @@ def _open_folder(path: Path, information: dict[str, Any]) -> Source:
     for file in files:
         if not file.is_file():
             raise BagError(f"{path}: {file.name} is named in metadata.yaml but is not there")
-    custom = information.get("custom_data")
-    return McapSource(files, str(custom[CUT]) if isinstance(custom, dict) and CUT in custom else None)
+    cut = str(custom[CUT]) if isinstance(custom, dict) and CUT in custom else None
+    return McapSource(files, cut, origin)
 
 
 def _information(metadata: Path) -> dict[str, Any]:
@@ -88,12 +90,13 @@ def _part_number(path: Path) -> tuple[int, str]:
 class _RosbagsSource:
     """Bags that are not plain MCAP (sqlite3, compressed files), read with the `rosbags` library."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, origin: Mapping[str, str] | None = None) -> None:
         from rosbags.rosbag2 import Reader
 
         self.path = path
         self.warning: str | None = None
         self.cut: str | None = None
+        self.origin = dict(origin or {})
         counts: Counter[tuple[str, str]] = Counter()
         with self._reporting(), Reader(path) as reader:
             for connection in reader.connections:

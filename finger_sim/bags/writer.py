@@ -14,7 +14,7 @@ import yaml
 from mcap.writer import CompressionType, Writer
 
 from ..errors import BagError
-from .metadata import CUT, Part, Qos, RecordedTopic, information
+from .metadata import CUT, ORIGIN, Part, Qos, RecordedTopic, information, with_origin, yaml_text
 
 FLUSH_PERIOD = 0.5
 """Longest time [s] of messages that a killed writer loses."""
@@ -39,6 +39,7 @@ class BagWriter:
     split_bytes   : a new file begins once one has that size; it has grown by up to a chunk more (1 MiB)
     split_seconds : a new file begins with the first message that much log time away from the first of its file [s]
     custom_data   : words of yours for the bag's metadata, such as the scene it was made for
+    origin        : what makes the bag (`bags.origin`), for its metadata and for a record at the beginning of each file
     """
 
     def __init__(
@@ -49,8 +50,10 @@ class BagWriter:
         split_bytes: float = math.inf,
         split_seconds: float = math.inf,
         custom_data: Mapping[str, str] | None = None,
+        origin: Mapping[str, str] | None = None,
     ) -> None:
         self.path = Path(path)
+        self._origin, self._at_end = dict(origin or {}), dict[str, str]()
         self.custom_data = dict(custom_data or {})
         self._compression, self._split_bytes, self._split_ns = compression, split_bytes, split_seconds * 1e9
         self._recorded: dict[str, RecordedTopic] = {}
@@ -156,6 +159,10 @@ class BagWriter:
         recorded.count += 1
         self._parts[-1].add(name, log_time)
 
+    def say_at_end(self, origin: Mapping[str, str]) -> None:
+        """More of what made the bag, known only now: for its metadata, and a record at the end of its last file."""
+        self._at_end.update(origin)
+
     def flush(self) -> None:
         """Finishes the current chunk and hands it to the operating system: all so far survives a kill."""
         self._require_open()
@@ -169,7 +176,7 @@ class BagWriter:
         """Writes index and metadata.yaml and closes; closing again does nothing."""
         if not self._open:
             return
-        self._finish_file()
+        self._finish_file(last=True)
         self._open = False
         try:
             self._write_metadata()
@@ -233,13 +240,14 @@ class BagWriter:
 
     def _write_metadata(self) -> None:
         """Writes metadata.yaml, whole or not at all."""
-        whole = yaml.safe_dump({"rosbag2_bagfile_information": self._information()}, sort_keys=False)
+        whole = yaml_text({"rosbag2_bagfile_information": self._information()})
         unfinished = self.path / _UNFINISHED
         unfinished.write_text(whole, encoding="utf-8")
         unfinished.replace(self.path / _METADATA)
 
     def _information(self) -> dict[str, Any]:
-        return information(self._recorded, self._parts, self.custom_data)
+        custom_data = with_origin(self.custom_data, self._origin | self._at_end)
+        return information(self._recorded, self._parts, custom_data)
 
     def _require_open(self) -> None:
         if not self._open:
@@ -259,17 +267,22 @@ class BagWriter:
         try:
             self._writer = _mcap_writer(self._stream, self._compression)
             self._writer.start(profile="ros2", library="finger_sim")
+            if self._origin:
+                number = {"part": str(len(self._parts) - 1)} if len(self._parts) > 1 else {}
+                self._writer.add_metadata(ORIGIN, self._origin | number)
             self._writer.flush()
             for name, recorded in self._recorded.items():
                 recorded.channel_id = self._register(name, recorded)
         except OSError as error:
             raise self._failed(error) from None
 
-    def _finish_file(self) -> None:
+    def _finish_file(self, last: bool = False) -> None:
         """Writes the rest of a file, the bag's metadata up to its end, and the index."""
         try:
             self._writer.flush()
-            text = yaml.safe_dump(self._information(), sort_keys=False)
+            if last and self._at_end:
+                self._writer.add_metadata(ORIGIN, self._at_end)
+            text = yaml_text(self._information())
             self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
             self._writer.finish()
             self._stream.close()

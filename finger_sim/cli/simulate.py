@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .common import DONE, FAILED, from_zero, positive, priority, verb
+
+if TYPE_CHECKING:
+    from ..simulation.summary import Summary
 
 
 def add_demo(verbs: Any) -> None:
@@ -79,16 +82,20 @@ def add_run(verbs: Any) -> None:
         "finger_sim run finger --bag press_flat -o pressed",
     )
     add = run.add_argument
-    add("scene", metavar="SCENE", help="scene to simulate")
+    add(
+        "scene",
+        metavar="SCENE",
+        nargs="?",
+        help="scene to simulate (default: what IN was recorded with, and all that was changed live)",
+    )
     add("--bag", required=True, metavar="IN", help="bag of commands")
-    add("-o", "--out", type=Path, metavar="OUT", help="bag to make (default: IN_SCENE, here)")
+    add("-o", "--out", type=Path, metavar="OUT", help="bag to make (default: IN_SCENE or IN_again, here)")
     add("--topic", help="topic of the commands in the bag")
     add(
         "--mode",
         choices=("free", "triggered", "recorded"),
-        default="free",
         help="free: steps on a clock; triggered: one for each command; recorded: those that the node made, late and "
-        "skipped ones too (default: %(default)s)",
+        "skipped ones too (default: as IN was made; with SCENE: free)",
     )
     add("--plane-topic", help="topic of the plane's poses in the bag (default: plane_pose, if it is there)")
     add(
@@ -120,12 +127,13 @@ def _run(options: argparse.Namespace) -> int:
     from ..simulation.replay import Replay, Selection
     from ..simulation.simulator import Simulator
 
-    scene, bag = Scene.load(options.scene), find_bag(options.bag)
-    out = options.out or Path(f"{bag.stem}_{find_scene(options.scene).stem}")
+    scene = None if options.scene is None else Scene.load(options.scene)
+    bag, name = find_bag(options.bag), "again" if options.scene is None else find_scene(options.scene).stem
+    out = options.out or Path(f"{bag.stem}_{name}")
     require_absent(out)
     selection = Selection(options.topic, options.plane_topic, options.mode, options.start, options.duration)
     replay = Replay(scene, bag, selection)  # a mistake shows before kernels compile
-    simulator = Simulator(scene, progress=say)
+    simulator = Simulator(replay.scene, progress=say)
     try:
         with gauge(f"simulating {bag}") as meter:
             done = replay.run(out, meter, simulator=simulator)
@@ -141,6 +149,7 @@ def _run(options: argparse.Namespace) -> int:
     for row in (
         ("commands", f"{done.commands} on {done.topic}, {done.refused} refused"),
         *moved,
+        *_recorded(done),
         *([("start", f"{1e3 * done.set_down_by:.2f} mm inside the plane: {SET_DOWN}")] if done.set_down_by else []),
         ("simulated", f"{done.duration:.3f} s in {done.steps} steps"),
         ("real-time factor", f"{done.real_time_factor:.2f}"),
@@ -155,6 +164,22 @@ def _run(options: argparse.Namespace) -> int:
         rows.add_row(*row)
     show(rows)
     return DONE
+
+
+def _recorded(done: Summary) -> list[tuple[str, str]]:
+    """What a run took of what its bag was recorded with, and what not."""
+    if done.differences is None:
+        return []
+    if done.as_recorded:
+        rows = [("scene", f"as recorded, {done.live_changes} live changes made again")]
+    else:
+        rows = [("scene", "as given, " + ("other than" if done.differences else "the same as") + " the recorded one")]
+    rows += [("differs", difference) for difference in done.differences]
+    if done.left_out:
+        rows.append(("left out", f"{done.left_out} live changes of the recording, as a scene was given"))
+    if done.resets:
+        rows.append(("resets", f"{done.resets} of the recording, made again"))
+    return rows
 
 
 def add_play(verbs: Any) -> None:

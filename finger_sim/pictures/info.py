@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,7 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.table import Table
 
+from ..bags.changes import changes_in
 from ..bags.course import Course, doubts, figures, rows
+from ..bags.origin import SHOWN_DIGITS, read_origin
 from ..bags.reader import BagReader, command_topic, commands_of
 from ..console import table
 from ..errors import BagError, FingerSimError
@@ -56,7 +59,7 @@ def _bag(path: Path) -> Iterator[tuple[str, Table]]:
         "whole": f"no: {reader.warning or reader.cut}" if reader.warning or reader.cut else "yes",
         "numbers missing": str(sum(topic.lost for topic in reader.topics)),
     }
-    yield f"bag {path}", _pairs(facts)
+    yield f"bag {path}", _pairs(facts | _origin(reader))
     times: dict[str, list[int]] = {topic.name: [] for topic in reader.topics}
     for message in reader:
         times[message.topic].append(message.log_time)
@@ -93,6 +96,32 @@ def _commands(reader: BagReader) -> Iterator[tuple[str, Table]]:
     for doubt in doubts(found):
         out.add_row("warning", doubt)
     yield f"commands on {topic} in frame {commands.frame_id!r}, by times of receipt", out
+
+
+def _origin(reader: BagReader) -> dict[str, str]:
+    """What made a bag, in few words; nothing where it does not say."""
+    origin = read_origin(reader)
+    if origin is None:
+        return {}
+    scene, reached = origin.scene, dict(origin.reached)
+    named = f"{origin.options['scene']}, " if "scene" in origin.options else ""
+    mesh = scene.get("mesh", {}).get("file") or "a beam"
+    facts = {
+        "made by": f"{origin.made_by} of finger_sim {origin.version}",
+        "scene": f"{named}{mesh} (sha256 {origin.mesh_sha256[:SHOWN_DIGITS]}…), dt {scene.get('dt')} s",
+    }
+    if origin.machine:
+        facts["machine"] = f"{origin.machine.get('cpu')}, {origin.machine.get('cores')} cores"
+    if reached:
+        counts = ", ".join(f"{reached.get(name)} {name}" for name in ("steps", "late", "skipped"))
+        facts["rate reached"] = f"{reached.get('rate')} Hz: {counts}"
+    changes = changes_in(reader)
+    names = Counter(name for change in changes for name in (*change.scene, *change.options))
+    live = ", ".join(f"{name} ({count}×)" if count > 1 else name for name, count in names.items())
+    facts["changed live"] = live or "nothing"
+    if resets := sum(change.reset for change in changes):
+        facts["resets"] = str(resets)
+    return facts
 
 
 def _scene(path: Path) -> Iterator[tuple[str, Table]]:

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Sequence
 from typing import IO, Any
 
-from ..bags.process import Order
+from ..bags.process import Ending, Order
 from ..bags.ring import Ring, make_file
 from ..errors import BagError
 
@@ -58,9 +58,9 @@ class BagPipe:
         """Whether the process runs and has not been let go."""
         return not self._orders.closed and self._process.poll() is None
 
-    def order(self, order: Order | None, timeout: float) -> None:
-        """Has it begin a bag; None: finish it. No answer will come where it does not listen for so long [s]."""
-        rest = json.dumps(order or {}).encode() + b"\n"
+    def order(self, order: Order | Ending, timeout: float) -> None:
+        """Has it begin a bag, or finish it. No answer will come where it does not listen for so long [s]."""
+        rest = json.dumps(order).encode() + b"\n"
         with contextlib.suppress(BrokenPipeError):  # the answers will say so
             while rest and _ready(self._orders, select.POLLOUT, timeout):
                 rest = rest[os.write(self._orders.fileno(), rest) :]

@@ -72,6 +72,16 @@ class StepCounts(NamedTuple):
         """Late steps, of the steps made; 0 when there were none."""
         return self.late / self.steps if self.steps else 0.0
 
+    def since(self, before: StepCounts) -> dict[str, float]:
+        """Steps, late and skipped ones since then, and the rate at which they were made [Hz]."""
+        steps, seconds = self.steps - before.steps, self.last - (before.last or self.begin)
+        return {
+            "rate": round(steps / seconds, 1) if seconds > 0.0 else 0.0,
+            "steps": steps,
+            "late": self.late - before.late,
+            "skipped": self.overruns - before.overruns,
+        }
+
     def real_time_factor(self, period: float) -> float:
         """Simulated time / wall time at `period` [s] a step, from the first to the last; 0 before the second."""
         return (self.steps - 1) * period / (self.last - self.begin) if self.steps > 1 else 0.0

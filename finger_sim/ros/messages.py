@@ -1,15 +1,8 @@
-"""Arrays to messages and back: a `Template` per outgoing topic, and the check of what comes in.
-
-An outgoing message has the same shape every time. Its `Template` is serialised once, and the places
-of its numbers are found by marks; each step writes stamp and numbers into those bytes, which are published
-and recorded as they are. That costs a fifth of filling and serialising the message, and a number can only
-ever be written as the float64 or float32 that the field is.
-"""
+"""Arrays to messages and back: a `Template` per outgoing topic, and the check of what comes in."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,16 +16,11 @@ from visualization_msgs.msg import Marker
 from ..arrays import Floats
 from ..bags import cdr
 from ..bags.layout import POINT_DTYPE
+from ..bags.template import STAMP_OFFSET, Template, doubles, marks
 from ..errors import SceneError
 from ..scene import Pose, checked_pose
 
-_STAMP = struct.Struct("<iI")
 _HEADER, _POSE = struct.Struct("<iII"), struct.Struct("<7d")
-_STAMP_OFFSET = 4
-"""Where a message that begins with a header has its stamp: after the 4 bytes that name the encoding."""
-
-LATEST = (1 << 31) * 1_000_000_000 - 1
-"""The last time that the header of a message can hold [ns]."""
 _SHOWN = 80
 """Characters of a frame_id that a refusal shows: what anyone sends is told again in logs and every second."""
 
@@ -40,55 +28,27 @@ RAMP = np.array([[0.16, 0.30, 0.62], [0.22, 0.62, 0.75], [0.62, 0.82, 0.47], [0.
 """Colours (5, 3) of mesh_marker for 0, ¼, ½, ¾ and 1 (at the limit)."""
 
 
-class Template:
-    """The CDR bytes of a message whose numbers change and whose shape does not.
-
-    data  : the message, which begins with a header and holds the `marks`
-    marks : bytes of each block of numbers as the message holds it, each found exactly once
-    """
-
-    def __init__(self, data: bytes, *marks: bytes) -> None:
-        assert data[:2] == b"\x00\x01", "little-endian CDR"
-        assert all(data.count(mark) == 1 for mark in marks), "marks that occur once"
-        self._bytes = bytearray(data)
-        self._places = [slice(at := data.index(mark), at + len(mark)) for mark in marks]
-
-    def fill(self, stamp: int, *blocks: bytes) -> bytes:
-        """The message at `stamp` [ns] with its blocks replaced by others of the same length."""
-        _STAMP.pack_into(self._bytes, _STAMP_OFFSET, *divmod(stamp, 1_000_000_000))
-        for place, block in zip(self._places, blocks, strict=True):
-            if len(block) != place.stop - place.start:
-                raise ValueError(f"a block of {len(block)} bytes where {place.stop - place.start} belong")
-            self._bytes[place] = block
-        return bytes(self._bytes)
-
-
-def doubles(values: Sequence[float] | NDArray[Any]) -> bytes:
-    """Numbers as the bytes of float64 fields."""
-    return np.asarray(values, dtype="<f8").tobytes()
-
-
 def wrench_template(frame_id: str) -> Template:
     """WrenchStamped; block: force and torque (6,) [N, N·m]."""
-    marks = _marks(6)
-    return Template(cdr.wrench_stamped(0, frame_id, marks), doubles(marks))
+    numbers = marks(6)
+    return Template(cdr.wrench_stamped(0, frame_id, numbers), doubles(numbers))
 
 
 def pose_template(frame_id: str) -> Template:
     """PoseStamped; block: position [m] and orientation xyzw (7,)."""
-    marks = _marks(7)
-    return Template(cdr.pose_stamped(0, frame_id, marks[:3], marks[3:]), doubles(marks))
+    numbers = marks(7)
+    return Template(cdr.pose_stamped(0, frame_id, numbers[:3], numbers[3:]), doubles(numbers))
 
 
 def cloud_template(frame_id: str, points: int) -> Template:
     """PointCloud2; block: `points` points packed by `layout.pack_points`."""
-    marks = np.random.default_rng(0).bytes(points * POINT_DTYPE.itemsize)
-    return Template(cdr.point_cloud(0, frame_id, np.frombuffer(marks, POINT_DTYPE)), marks)
+    numbers = np.random.default_rng(0).bytes(points * POINT_DTYPE.itemsize)
+    return Template(cdr.point_cloud(0, frame_id, np.frombuffer(numbers, POINT_DTYPE)), numbers)
 
 
 def marker_template(frame_id: str, corners: int) -> Template:
     """Marker TRIANGLE_LIST; blocks: corners (corners, 3) float64 [m], colours (corners, 4) float32 rgba."""
-    points, colors = _marks(3 * corners).reshape(-1, 3), _marks(4 * corners).astype("<f4").reshape(-1, 4)
+    points, colors = marks(3 * corners).reshape(-1, 3), marks(4 * corners).astype("<f4").reshape(-1, 4)
     message = Marker(ns="finger", id=0, type=Marker.TRIANGLE_LIST, action=Marker.ADD, frame_locked=False)
     message.header.frame_id = frame_id
     message.pose = PoseMessage()
@@ -132,10 +92,10 @@ def read_pose(data: bytes) -> StampedPose:
 
     The usual encoding is read in place, in a tenth of the time that rclpy takes.
     """
-    if data[:2] == b"\x00\x01" and len(data) > _STAMP_OFFSET + _HEADER.size:
-        seconds, nanoseconds, length = _HEADER.unpack_from(data, _STAMP_OFFSET)
-        end = _STAMP_OFFSET + _HEADER.size + length
-        pose = end + (_STAMP_OFFSET - end) % 8
+    if data[:2] == b"\x00\x01" and len(data) > STAMP_OFFSET + _HEADER.size:
+        seconds, nanoseconds, length = _HEADER.unpack_from(data, STAMP_OFFSET)
+        end = STAMP_OFFSET + _HEADER.size + length
+        pose = end + (STAMP_OFFSET - end) % 8
         if length and len(data) >= pose + _POSE.size:
             frame_id = data[end - length : end - 1].decode(errors="replace")
             return StampedPose(_stamp(seconds, nanoseconds), frame_id, _POSE.unpack_from(data, pose))
@@ -150,7 +110,7 @@ def read_pose(data: bytes) -> StampedPose:
 
 def time_of(clock: Any) -> int:
     """What a ROS clock shows [ns], as the header of a message can hold it: under use_sim_time anyone may set it."""
-    return min(max(int(clock.now().nanoseconds), 0), LATEST)
+    return min(max(int(clock.now().nanoseconds), 0), cdr.STAMPS_END - 1)
 
 
 def _stamp(seconds: int, nanoseconds: int) -> int:
@@ -174,8 +134,3 @@ def check_pose(message: StampedPose, world_frame: str) -> Pose | str:
         return checked_pose(Pose((x, y, z), (qx, qy, qz, qw)))
     except SceneError as error:
         return str(error)
-
-
-def _marks(count: int) -> Floats:
-    """Numbers that no field has by default, all different."""
-    return 1e9 + np.arange(1.0, count + 1.0) * 1024.0

@@ -6,6 +6,7 @@ main one serves ROS and reports, the loop makes the steps and sends what they br
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import math
 import os
@@ -29,17 +30,25 @@ from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
+from ..bags import cdr
+from ..bags.changes import EVENTS, RESET, RESET_QOS
+from ..bags.origin import block_text, machine, origin_of
+from ..bags.template import Template
 from ..errors import FingerSimError, SceneError
-from ..scene import Scene
+from ..scene import Pose, Scene
 from . import parameters, rclpy_private
+from .bag_paths import bag_path, free_name
 from .bag_pipe import Standby
 from .diagnostics import Reporter
 from .graph_watch import GraphWatch
 from .inbox import Command, Inbox
-from .loop import Loop, RateLoop, TriggeredLoop, prefer_this_thread
+from .loop import Loop, RateLoop, StepCounts, TriggeredLoop, prefer_this_thread
 from .messages import time_of
+from .options import NodeOptions
 from .outputs import Outputs
-from .recorder import Recorder
+from .process import flush, process_age
+from .recorder import RecordedTopic, Recorder
+from .rosout import Rosout
 from .stepper import Stepper
 
 ANSWER_TIMEOUT = 2.0
@@ -49,6 +58,9 @@ REPORT_PERIOD = 1.0
 
 WAITING_COMMANDS = 1000
 """Commands that may wait for their steps in mode triggered; when more come, the oldest are dropped and counted."""
+
+NOTHING_YET = StepCounts(0, 0, 0, 0.0, 0.0)
+"""How far a loop is that has not begun."""
 
 TRANSPORTS = "UDPv4"
 """Of Fast DDS, where the environment names none: through shared memory a publisher, and a step with it, waits for a
@@ -72,11 +84,10 @@ class FingerNode(Node):  # type: ignore[misc]
         parameters.declare(self, parameters.node_parameters(options))
         parameters.declare(self, scene.parameters())
         parameters.require_known(overrides, self, scene, options.scene)
-        self._bags = _bag_path("record_directory", options.record_directory)
-        if options.record and os.path.lexists(_bag_path("record", options.record)):
+        self._bags = bag_path("record_directory", options.record_directory)
+        if options.record and os.path.lexists(bag_path("record", options.record)):
             raise SceneError("record", options.record, "a path that does not exist yet")
         self.add_pre_set_parameters_callback(lambda given: parameters.widen(given, self))
-        self.add_on_set_parameters_callback(self._on_set)
 
         self._standby = Standby()
         self._standby.prepare()
@@ -85,6 +96,11 @@ class FingerNode(Node):  # type: ignore[misc]
         self._stepper = Stepper(scene, self._outputs, self.get_clock(), log)
         self._processors = parameters.processors(options.cpu_affinity)
         self._inbox = Inbox(self, self._outputs, lambda: self._stepper.scene.plane is not None)
+        self._resets = RecordedTopic(str(self.resolve_service_name(f"~/{RESET}")), cdr.EMPTY, RESET_QOS)
+        self._rosout = Rosout(self, self._outputs)
+        self._beginning = threading.Lock()
+        """Held while a recording begins: no option changes once it has said what they are, before it takes changes."""
+        self._recorded_from = NOTHING_YET
         self._early: deque[Command] = deque(maxlen=WAITING_COMMANDS)
         self._loop: Loop
         if options.mode == "free":
@@ -99,6 +115,7 @@ class FingerNode(Node):  # type: ignore[misc]
                 wake=self._inbox.wake,
                 capacity=WAITING_COMMANDS,
             )
+        self.add_on_set_parameters_callback(self._on_set)
         graph = GraphWatch(self, self._inbox.subscriptions)
         self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._inbox, graph)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -116,6 +133,7 @@ class FingerNode(Node):  # type: ignore[misc]
             if not self._loop.ready:
                 self._early.extend(self._take())
             self._serve(executor, min(0.1, max(0.0, due - time.monotonic())))
+            self._rosout.record()
             if time.monotonic() >= due:
                 self._report()
                 due = max(due + REPORT_PERIOD, time.monotonic())
@@ -143,7 +161,7 @@ class FingerNode(Node):  # type: ignore[misc]
             self.get_logger().fatal(" ".join(f"{type(error).__name__}: {error}".split()))
         if not stopped:
             # A compiler or a step that does not come back cannot be unwound: leave it where it is.
-            _flush()
+            flush()
             os._exit(int(error is not None))
         return int(error is not None)
 
@@ -151,7 +169,7 @@ class FingerNode(Node):  # type: ignore[misc]
         """The loop thread's way to its first step."""
         self._stepper.prepare(self._on_progress)
         if self._outputs.options.record:
-            self._record(_bag_path("record", self._outputs.options.record))
+            self._record(bag_path("record", self._outputs.options.record))
         priority = self._place_this_thread(self._outputs.options.realtime_priority)
         # A full collection would look at every object numba made: 150 ms in which no step can begin.
         gc.collect()
@@ -159,7 +177,7 @@ class FingerNode(Node):  # type: ignore[misc]
         scene, options = self._stepper.scene, self._outputs.options
         pace = f"at {1.0 / scene.dt:g} Hz" if options.mode == "free" else "one step for each command"
         self.get_logger().info(
-            f"ready after {_process_age():.1f} s: {options.scene}, {len(self._stepper.sim.mesh.tets)} tets, {pace}, "
+            f"ready after {process_age():.1f} s: {options.scene}, {len(self._stepper.sim.mesh.tets)} tets, {pace}, "
             + (f"real-time priority {priority}" if priority else "no real-time priority")
         )
 
@@ -188,7 +206,7 @@ class FingerNode(Node):  # type: ignore[misc]
     def subscriptions(self) -> Iterator[Any]:
         """Those that an executor serves; of the others the loop takes what comes."""
         for subscription in super().subscriptions:
-            if subscription not in self._inbox.subscriptions:
+            if subscription not in (*self._inbox.subscriptions, self._rosout.entity):
                 yield subscription
 
     def _tick(self) -> None:
@@ -214,17 +232,33 @@ class FingerNode(Node):  # type: ignore[misc]
     def _on_set(self, given: list[Any]) -> SetParametersResult:
         try:
             changes, options = parameters.live_changes(given, self._stepper.scene, self._outputs.options)
-            if changes:
-                self._ask(self._loop.call(lambda: self._stepper.apply(changes, options)))
+            event = parameters.event(self.get_fully_qualified_name(), given)
+            if changes or self._loop.ready:
+                self._ask(self._loop.call(lambda: self._change(changes, options, event)))
             else:
-                self._outputs.options = options
+                with self._beginning:
+                    self._change(changes, options, event)
         except FingerSimError as error:
             return SetParametersResult(successful=False, reason=" ".join(str(error).split()))
         return SetParametersResult(successful=True)
 
+    def _change(self, changes: dict[str, Any], options: NodeOptions, event: Template) -> None:
+        """Takes new values, between two steps where there are some, and records from when on they hold."""
+        if changes:
+            self._stepper.apply(changes, options)
+        else:
+            self._outputs.options = options
+        self._outputs.record(EVENTS, event.fill(time_of(self.get_clock())))
+
+    def _reset(self) -> Pose:
+        """Back to rest at the last command, which is recorded."""
+        pose = self._stepper.reset()
+        self._outputs.record(self._resets.name, cdr.empty())
+        return pose
+
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            pose = self._ask(self._loop.call(self._stepper.reset))
+            pose = self._ask(self._loop.call(self._reset))
             response.success = True
             response.message = f"at rest at position {pose.position}, orientation {pose.orientation}"
         except FingerSimError as error:
@@ -245,7 +279,7 @@ class FingerNode(Node):  # type: ignore[misc]
             if not self._loop.ready:
                 raise FingerSimError(f"not ready: {self._progress}")
             if request.data:
-                recorder = self._record(_free_name(self._bags))
+                recorder = self._record(free_name(self._bags))
                 response.success, response.message = True, f"recording {recorder.path}"
             elif recorder is not None:
                 self._end_recording(recorder)
@@ -255,21 +289,28 @@ class FingerNode(Node):  # type: ignore[misc]
         return response
 
     def _record(self, path: Path) -> Recorder:
-        options = self._outputs.options
-        topics = [*self._outputs.recorded_topics(), *self._inbox.recorded_topics()]
-        bag = {
-            "compression": options.record_compression,
-            "split_bytes": 1e6 * options.record_split_size or math.inf,
-            "split_seconds": options.record_split_time or math.inf,
-        }
-        failed = self.get_logger().error
-        recorder = Recorder(path, topics, options.record_queue, self._standby.pipe(), bag, failed)
-        self._outputs.start_recording(recorder)
+        with self._beginning:
+            options, scene, sim = self._outputs.options, self._stepper.scene, self._stepper.sim
+            sources = (self._outputs, self._inbox, self._rosout)
+            topics = [topic for source in sources for topic in source.recorded_topics()] + [self._resets]
+            origin = origin_of("node", scene, sim.mesh, dataclasses.asdict(options), machine())
+            bag = {
+                "compression": options.record_compression,
+                "split_bytes": 1e6 * options.record_split_size or math.inf,
+                "split_seconds": options.record_split_time or math.inf,
+                "origin": origin.words(),
+            }
+            failed = self.get_logger().error
+            recorder = Recorder(path, topics, options.record_queue, self._standby.pipe(), bag, failed)
+            self._recorded_from = self._loop.progress
+            self._outputs.start_recording(recorder, sim.plane_pose, time_of(self.get_clock()))
         self.get_logger().info(f"recording {recorder.path}")
         return recorder
 
     def _end_recording(self, recorder: Recorder) -> None:
-        recorder.close()
+        """With what has been logged by now, and what rate was reached in it."""
+        self._rosout.record()
+        recorder.close(origin={"reached": block_text(self._loop.progress.since(self._recorded_from))})
         self.get_logger().info(f"recorded {recorder.summary()}")
 
     def _ask(self, answer: Future[Any]) -> Any:
@@ -280,34 +321,6 @@ class FingerNode(Node):  # type: ignore[misc]
             answer.cancel()
             reason = "the loop is stalled" if self._loop.ready else f"not ready: {self._progress}"
             raise FingerSimError(reason) from None
-
-
-def _bag_path(parameter: str, text: str) -> Path:
-    """The path that a parameter gives. Raises SceneError naming it where that is none."""
-    try:
-        path = Path(text).expanduser().absolute()
-        os.fsencode(path)
-    except (RuntimeError, OSError, ValueError) as error:
-        raise SceneError(parameter, text, f"a path ({error})") from None
-    return path
-
-
-def _free_name(folder: Path) -> Path:
-    """A path in `folder` that does not exist, named by the time."""
-    stem = time.strftime("finger_%Y%m%d_%H%M%S")
-    names = (folder / (stem + (f"_{i}" if i else "")) for i in range(10_000))
-    return next(path for path in names if not os.path.lexists(path))
-
-
-def _process_age() -> float:
-    """Time since this process was started, its imports included [s]."""
-    ticks = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
-    return time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
-
-
-def _flush() -> None:
-    sys.stdout.flush()
-    sys.stderr.flush()
 
 
 def main(args: list[str] | None = None) -> int:

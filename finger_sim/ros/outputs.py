@@ -19,8 +19,11 @@ from visualization_msgs.msg import Marker
 
 from ..arrays import Floats
 from ..bags import cdr
+from ..bags.changes import EVENTS, EVENTS_QOS
+from ..bags.frames import MOVING, MOVING_QOS, PLANE, STANDING, STANDING_QOS, Frames
 from ..bags.layout import express_wrench, node_strain, pack_points, wrench_frame_id
 from ..bags.reader import Qos
+from ..bags.template import doubles
 from ..scene import Pose, place
 from ..scene.mesh import TetMesh
 from ..simulation.result import StepResult
@@ -30,7 +33,7 @@ from .options import NodeOptions
 from .recorder import RecordedTopic, Recorder
 
 TF_PERIOD = 0.01
-"""Time between two broadcasts of the frames [s], where tf2_ros is installed."""
+"""Time between two messages on /tf [s]: recorded, and broadcast where tf2_ros is installed."""
 
 _TYPES: dict[str, tuple[Any, Qos]] = {
     "mesh_topology": (Mesh, Qos(depth=1, transient_local=True)),
@@ -43,6 +46,13 @@ _TYPES: dict[str, tuple[Any, Qos]] = {
 }
 """Topic, type and offered quality of service, recorded in this order. mesh_marker is not recorded: it holds
 nothing that mesh_points does not."""
+
+_RECORDED = (
+    RecordedTopic(STANDING, cdr.TF_MESSAGE, STANDING_QOS),
+    RecordedTopic(MOVING, cdr.TF_MESSAGE, MOVING_QOS),
+    RecordedTopic(EVENTS, cdr.PARAMETER_EVENT, EVENTS_QOS),
+)
+"""What a recording holds that no publisher of this class sends: frames, which need no tf2 there, and live changes."""
 
 
 def ros_qos(qos: Qos) -> QoSProfile:
@@ -77,7 +87,8 @@ class Outputs:
         self._device = messages.wrench_template(f"{options.finger_frame}_world_aligned")
         self._pose = messages.pose_template(options.world_frame)
         self._mesh_due = self._marker_due = self._tf_due = 0.0
-        self._frames = _Frames(node, options) if _Frames.available() else None
+        self._frames = Frames(options.world_frame, options.finger_frame)
+        self._broadcast = _Broadcast(node, options) if _Broadcast.available() else None
 
     def prepare(self, mesh: TetMesh) -> None:
         """Makes room for the messages of a mesh and sends its topology."""
@@ -92,16 +103,31 @@ class Outputs:
 
     def recorded_topics(self) -> list[RecordedTopic]:
         """Topics of a recording under their resolved names, the topology first."""
-        return [
+        sent = [
             RecordedTopic(self._names[name], ros_type(kind), qos)
             for name, (kind, qos) in _TYPES.items()
             if name != "mesh_marker"
         ]
+        return [*sent, *_RECORDED]
 
-    def start_recording(self, recorder: Recorder) -> None:
-        """Records from now on, beginning with the topology that late listeners get too."""
+    def start_recording(self, recorder: Recorder, plane: Pose | None, stamp: int) -> None:
+        """Records from now on, beginning with what late listeners get too: the topology, and where the plane is.
+
+        plane : see Simulator.plane_pose
+        stamp : the present time [ns]
+        """
+        frames = Frames(self.options.world_frame, self.options.finger_frame)
         recorder.put(self._names["mesh_topology"], self.topology, time.monotonic_ns())
+        standing = frames.standing(stamp, plane)
+        if standing is not None:
+            recorder.put(STANDING, standing, time.monotonic_ns())
+        self._frames = frames
         self.recorder = recorder
+
+    def record(self, topic: str, data: bytes) -> None:
+        """Records one message of CDR bytes that is not published, if there is a recording."""
+        if self.recorder is not None:
+            self.recorder.put(topic, data, time.monotonic_ns())
 
     def send(self, topic: str, data: bytes, at: int | None = None) -> None:
         """Publishes and records one message of CDR bytes; `at`: steady time that it is of [ns], the present if None."""
@@ -112,7 +138,7 @@ class Outputs:
 
     def device(self, wrench: Floats, stamp: int, at: int) -> None:
         """Sends what a device is to render (6,) [N, N m]; `stamp` is its time, `at` the steady one [ns]."""
-        self.send("device_wrench", self._device.fill(stamp, messages.doubles(wrench)), at)
+        self.send("device_wrench", self._device.fill(stamp, doubles(wrench)), at)
 
     def step(
         self, sim: Simulator, out: StepResult, device_wrench: Floats, stamp: int, options: NodeOptions, at: int
@@ -123,8 +149,8 @@ class Outputs:
         """
         wrench = express_wrench(out.contact_wrench, out.pose, options.wrench_frame)
         self.device(device_wrench, stamp, at)
-        self.send("contact_wrench", self._wrench.fill(stamp, messages.doubles(wrench)), at)
-        pose = messages.doubles((*out.pose.position, *out.pose.orientation))
+        self.send("contact_wrench", self._wrench.fill(stamp, doubles(wrench)), at)
+        pose = doubles((*out.pose.position, *out.pose.orientation))
         self.send("pose", self._pose.fill(stamp, pose), at)
         now = time.monotonic()
         if options.mesh_rate > 0.0 and now >= self._mesh_due:
@@ -136,9 +162,12 @@ class Outputs:
             self._marker_due = _next_due(self._marker_due, now, 1.0 / options.marker_rate)
             if self.heard("mesh_marker"):
                 self.send("mesh_marker", self._mesh_marker(sim, stamp, options))
-        if self._frames is not None and now >= self._tf_due:
+        if now >= self._tf_due:
             self._tf_due = _next_due(self._tf_due, now, TF_PERIOD)
-            self._frames.send(out.pose, stamp)
+            if self.recorder is not None and self.recorder.active:
+                self.record(MOVING, self._frames.moving(stamp, out.pose, sim.plane_pose))
+            if self._broadcast is not None:
+                self._broadcast.send(out.pose, sim.plane_pose, stamp)
 
     def heard(self, topic: str) -> bool:
         """Whether anybody subscribes to a topic."""
@@ -155,21 +184,20 @@ class Outputs:
         else:
             values = np.linalg.norm(sim.contact_forces, axis=1) / self._areas / options.marker_pressure
         colors = messages.ramp_colors(values)[self._corners]
-        return self._marker.fill(stamp, messages.doubles(sim.positions[self._corners]), colors.tobytes())
+        return self._marker.fill(stamp, doubles(sim.positions[self._corners]), colors.tobytes())
 
 
-class _Frames:
-    """Broadcasts the finger frame and its world-aligned twin where a system ROS 2 brings tf2_ros."""
+class _Broadcast:
+    """Broadcasts the finger frame, its world-aligned twin and the plane where a system ROS 2 brings tf2_ros."""
 
     def __init__(self, node: Any, options: NodeOptions) -> None:
         from tf2_ros import TransformBroadcaster  # type: ignore[import-not-found]
 
         self._broadcaster = TransformBroadcaster(node)
         self._transforms = []
-        for child in (options.finger_frame, f"{options.finger_frame}_world_aligned"):
+        for child in (options.finger_frame, f"{options.finger_frame}_world_aligned", PLANE):
             transform = TransformStamped(child_frame_id=child)
             transform.header.frame_id = options.world_frame
-            transform.transform.rotation.w = 1.0
             self._transforms.append(transform)
 
     @staticmethod
@@ -180,15 +208,16 @@ class _Frames:
             return True
         return False
 
-    def send(self, pose: Pose, stamp: int) -> None:
-        for transform in self._transforms:
+    def send(self, finger: Pose, plane: Pose | None, stamp: int) -> None:
+        poses = [finger, Pose(finger.position), *([] if plane is None else [plane])]
+        sent = self._transforms[: len(poses)]
+        for transform, pose in zip(sent, poses, strict=True):
             time_ = transform.header.stamp
             time_.sec, time_.nanosec = divmod(stamp, 1_000_000_000)
-            p = transform.transform.translation
+            p, q = transform.transform.translation, transform.transform.rotation
             p.x, p.y, p.z = (float(c) for c in pose.position)
-        q = self._transforms[0].transform.rotation
-        q.x, q.y, q.z, q.w = (float(c) for c in pose.orientation)
-        self._broadcaster.sendTransform(self._transforms)
+            q.x, q.y, q.z, q.w = (float(c) for c in pose.orientation)
+        self._broadcaster.sendTransform(sent)
 
 
 def ros_type(kind: Any) -> str:

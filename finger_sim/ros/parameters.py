@@ -1,8 +1,4 @@
-"""ROS parameters out of the scene's typed fields: names, units, ranges, docs and refusals have one source.
-
-A value that YAML writes as null has no ROS type; a parameter has "" (text) or inf (number, axis of a limit)
-there.
-"""
+"""ROS parameters out of the scene's typed fields: names, units, ranges, docs and refusals have one source."""
 
 from __future__ import annotations
 
@@ -13,17 +9,18 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter as RosParameter
 
+from ..bags import cdr
+from ..bags.template import Template
 from ..errors import SceneError
 from ..scene import Parameter, Scene
 from ..scene.fields import Field, parse_part, specs
 from ..scene.reference import dotted
+from ..scene.ros_values import from_ros, plain, to_ros
 from .options import NodeOptions
 
-ARRAY_KINDS = ("vec3", "quaternion", "limit3")
 QOS = "qos_overrides."
 """How the names of ROS's own parameters for qualities of service begin."""
 
@@ -32,34 +29,6 @@ def node_parameters(options: NodeOptions) -> Iterable[Parameter]:
     """The node's own parameters."""
     for name, spec in specs(NodeOptions).items():
         yield Parameter(name, getattr(options, name), spec)
-
-
-def to_ros(value: Any, spec: Field) -> Any:
-    """The value of a ROS parameter for a field's value."""
-    if value is None:
-        return "" if spec.kind in ("text", "choice") else [math.inf] * 3 if spec.kind in ARRAY_KINDS else math.inf
-    if hasattr(value, "as_plain"):
-        return yaml.safe_dump(value.as_plain(), default_flow_style=True).strip()
-    if spec.kind in ARRAY_KINDS:
-        return [math.inf if item is None else float(item) for item in value]
-    return list(value) if isinstance(value, tuple) else value
-
-
-def from_ros(value: Any, spec: Field) -> Any:
-    """The plain value for `Scene` of a ROS parameter's value; `Field.parse` judges it."""
-    value = plain(value)
-    if spec.optional and value in ("", math.inf):
-        return None
-    if spec.kind == "limit3" and isinstance(value, list | tuple):
-        return [None if item == math.inf else item for item in value]
-    if spec.kind == "text" and type(value) is int:
-        return str(value)
-    if spec.kind == "text" and isinstance(value, str) and value.lstrip().startswith("{"):
-        try:
-            return yaml.safe_load(value)
-        except yaml.YAMLError:
-            return value
-    return value
 
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:
@@ -170,11 +139,6 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return next((spelled[near] for near in difflib.get_close_matches(name.lower(), spelled, n=1)), "")
 
 
-def plain(value: Any) -> Any:
-    """An array of a parameter as a list; anything else as it is."""
-    return value.tolist() if hasattr(value, "tolist") else value
-
-
 def widen(given: list[Any], node: Any) -> list[Any]:
     """Whole numbers made floating-point where the node's parameter is that (`ros2 param set … 1`)."""
     kind = RosParameter.Type
@@ -188,6 +152,11 @@ def widen(given: list[Any], node: Any) -> list[Any]:
             parameter = RosParameter(name, kind.DOUBLE_ARRAY, [float(item) for item in value])
         out.append(parameter)
     return out
+
+
+def event(node: str, given: Iterable[Any]) -> Template:
+    """What /parameter_events tells of a set request to the node of that name, as rclpy sends it; to be stamped."""
+    return Template(cdr.parameter_event(0, node, {parameter.name: plain(parameter.value) for parameter in given}))
 
 
 def live_changes(parameters: Iterable[Any], scene: Scene, options: NodeOptions) -> tuple[dict[str, Any], NodeOptions]:

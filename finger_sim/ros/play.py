@@ -16,8 +16,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from ..bags.reader import Commands
+from ..bags.template import doubles
 from ..errors import FingerSimError
-from .messages import doubles, pose_template
+from .messages import pose_template
 
 SUBSCRIBER_TIMEOUT = 10.0
 """How long a subscriber is waited for [s]."""

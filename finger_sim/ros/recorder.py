@@ -41,6 +41,7 @@ class Recorder:
 
     `put` may be called by any thread, all else by one at a time.
 
+    began    : steady time from which messages are taken [ns]
     path     : folder of the bag; BagError if it exists or cannot be made
     topics   : announced in this order
     capacity : messages that may wait to be written
@@ -83,6 +84,7 @@ class Recorder:
         if self.error is not None:
             raise BagError(self.error)
         self._failed = failed
+        self.began = time.monotonic_ns()
 
     @property
     def active(self) -> bool:
@@ -114,13 +116,16 @@ class Recorder:
         if self.active:
             self._hear()
 
-    def close(self, timeout: float = TIMEOUT) -> None:
-        """Writes what waits and finishes the bag; `error` says why when that failed."""
+    def close(self, timeout: float = TIMEOUT, origin: Mapping[str, str] | None = None) -> None:
+        """Writes what waits and finishes the bag; `error` says why when that failed.
+
+        origin : what is known only now of what made it (`bags.origin`)
+        """
         if not self.active:
             return
         with self._lock:
             self._closing = True
-        self._pipe.order(None, timeout)
+        self._pipe.order({"origin": dict(origin or {})}, timeout)
         self._await("closed", timeout)
 
     def summary(self) -> str:

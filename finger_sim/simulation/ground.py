@@ -39,6 +39,12 @@ class Ground:
         self._since = self._left = 0.0
         self._anchored = False  # to the poses that targets give: until then origin and axes in the plane mean nothing
 
+    @property
+    def frame(self) -> Pose:
+        """The plane is the x-y plane of this pose now, its z the outward normal, world; before any target too."""
+        normal, point = self.surface
+        return self.pose or Pose(point, _turned(normal))
+
     def advance(self, target: Pose | None, coupling: Coupling, dt: float) -> bool:
         """One step of `dt` [s], towards `target` from now on; whether the plane moves, or has just stopped."""
         if self.pose is None and target is None:

@@ -12,65 +12,57 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from ..bags import cdr
+from ..bags.changes import Change, after, before_their_steps, changed, changes_in
 from ..bags.excerpt import Arrivals, Received, Tally, commands_in, plane_poses_in
 from ..bags.interrupts import deferred
+from ..bags.origin import Origin, differences, origin_of, read_origin, recorded_scene
 from ..bags.reader import LONGEST_SPAN_SECONDS, BagReader, BagWriter, require_absent
 from ..errors import BagError, FingerSimError
 from ..haptics.rendering import Rendering
 from .costs import Costs
-from .replay_output import Copies, Output
+from .replay_output import Changes, Copies, Output
+from .selection import DEFAULTS, RENDERING, Mode, options_of
+from .selection import Selection as Selection
 from .summary import Summary
 
 if TYPE_CHECKING:
     from ..scene import Scene
     from .simulator import Simulator
 
-STAMPS_END = 2**31 * 1_000_000_000
-"""Times from here on [ns] cannot be stamps of messages: their seconds have 32 bits."""
-
-Mode = Literal["free", "triggered", "recorded"]
-
 StepsDone = Callable[[int, int], None]
 """Called with the steps done and all there are."""
-
-
-@dataclass(frozen=True)
-class Selection:
-    """What of a bag is simulated, and how.
-
-    The window of `start` and `duration` counts as a bag of its own that holds what was received in it, ends included.
-    Its first command is the newest one received by its beginning, as if it came right then: it places the finger at
-    rest. The newest pose of the plane by then holds likewise.
-    """
-
-    topic: str | None = None
-    """Of the commands; see `bags.reader.read_commands`."""
-    plane_topic: str | None = None
-    """Of the plane's poses; see `bags.reader.plane_poses_of`."""
-    mode: Mode = "free"
-    """As the node's: steps on a clock, or one step for each command, stamped with its receipt. "recorded": the steps of
-    mode free when the node that recorded the bag made them, so that what it computed comes out, late steps and all."""
-    start: float = 0.0
-    """Beginning of the window, since the first good command [s]."""
-    duration: float | None = None
-    """Length of the window [s]; None: to the end of the bag."""
 
 
 class Replay:
     """A bag to be simulated, read once from end to end: a mistake shows before kernels compile.
 
-    Raises BagError for a bag that cannot be read, and for a selection of what is not in it.
+    scene   : what is simulated; None: what the bag was made with, as it was when the first command came, with the
+              node's parameters and all that was changed live. With a scene given, only resets are taken of these
+    options : the node's parameters by name, plain values, at the first step; where a scene is given, DEFAULTS
+    changes : what is changed from then on, in order
+
+    Raises BagError for a bag that cannot be read, for a selection of what is not in it, and where the scene or the mesh
+    that it was made with cannot be had.
     """
 
-    def __init__(self, scene: Scene, bag: str | Path, selection: Selection | None = None) -> None:
-        self.scene = scene
+    def __init__(self, scene: Scene | None, bag: str | Path, selection: Selection | None = None) -> None:
         self.selection = selection or Selection()
         self.reader = BagReader(bag)
+        self.as_recorded = scene is None
+        self.origin = read_origin(self.reader)
+        """What the bag was made with; None where it does not say."""
+        self.scene = recorded_scene(self.reader, self.origin) if scene is None else scene
+        said = self.origin.options if self.origin is not None and self.as_recorded else {}
+        self.options = options_of(said, self.selection.mode, self.reader.path)
         self.commands, self.tally = commands_in(self.reader, self.selection.topic)
+        self.options["world_frame"] = self.commands.frame_id or DEFAULTS["world_frame"]
+        changes = changes_in(self.reader) if self.origin is not None else []
+        if self.mode == "triggered":
+            changes = before_their_steps(self.reader, self.commands.poses(), changes)
         self.plane = plane_poses_in(self.reader, self.commands, self.selection.plane_topic)
         self.plane_tally = self._plane_tally()
         begin, end = self._window()
@@ -81,14 +73,34 @@ class Replay:
             self.plane_tally = self._plane_tally()
         self.start = self.tally.first
         """Log time from which simulated time counts [ns]."""
+        self._take(changes)
         self.steps = self._count()
         """Steps to be made."""
-        if self._last() + _nanoseconds(1, scene.dt) >= STAMPS_END:
+        if self._last() + _nanoseconds(1, self.scene.dt) >= cdr.STAMPS_END:
             where = f"{self.reader.path}: topic {self.commands.topic}"
             allowed = "allowed: below 2^31 s, as messages are stamped"
             raise BagError(f"{where}: got a log time of {self._last() * 1e-9:.9g} s, {allowed}")
         self.remains: str | None = None
         """What is left of a run that did not come to its end."""
+
+    def _take(self, changes: list[Change]) -> None:
+        """What was changed by the first step is in scene and options then; what comes later is to be changed.
+
+        Raises BagError for what the scene refuses.
+        """
+        before = [change for change in changes if change.time <= self.start]
+        later = [change for change in changes if change.time > self.start]
+        self._before = before
+        if self.as_recorded:
+            self.scene = changed(self.reader, self.scene, before)
+            changed(self.reader, self.scene, later)
+            for change in before:
+                self.options.update(change.options)
+            self.changes = later
+        else:
+            self.changes = [change for change in later if change.reset]
+        self.left_out = len(later) - len(self.changes)
+        """Live changes that are not followed, as a scene was given."""
 
     def run(self, out: str | Path, progress: StepsDone | None = None, *, simulator: Simulator | None = None) -> Summary:
         """Simulates, and writes what the node would publish to the new bag `out`; see `run` of this module."""
@@ -97,9 +109,11 @@ class Replay:
             from .simulator import Simulator
 
             simulator = Simulator(self.scene)
-        summary = self._summary(out)
+        taken = {name: self.options[name] for name in DEFAULTS}
+        origin = origin_of("run", self.scene, simulator.mesh, taken)
+        summary = self._summary(out, origin)
         with deferred() as interrupt:
-            recording = BagWriter(out)
+            recording = BagWriter(out, origin=origin.words())
             try:
                 self._simulate(simulator, recording, summary, progress, interrupt)
                 recording.close()
@@ -117,24 +131,28 @@ class Replay:
         interrupt: Callable[[], None],
     ) -> None:
         """Makes all steps, and records them beside the poses that they follow."""
-        output = Output(recording, self.start, self.commands.frame_id or "world")
+        output = Output(recording, self.start, self.options)
         copies = [Copies(self.commands, recording, "command_pose")]
         if self.plane is not None:
             copies.append(Copies(self.plane, recording, "plane_pose"))
-        output.topology(simulator)
+        changes = Changes(self.changes, recording)
         plane = Arrivals(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
-        costs, rendering = Costs(), Rendering()
+        costs, rendering = Costs(), Rendering(*(self.options[name] for name in RENDERING))
         newest: Received | None = None
         zero = self.start
         for moment in self._moments():
+            for name, value in changes.up_to(self.start + moment.begin, simulator).items():
+                if name in RENDERING:
+                    setattr(rendering, RENDERING[name], value)
             places, commands = plane.up_to(self.start + moment.begin), moment.commands
             if newest is None:
                 commands = commands[-1:]
                 zero = commands[0].log_time
                 simulator.reset(commands[0].pose, places[-1].pose if places else None)
                 summary.set_down_by, places = simulator.set_down_by, []
+                output.begin(simulator)
             clock = time.perf_counter()
-            answers = commands[-1].pose if self.selection.mode == "triggered" else None
+            answers = commands[-1].pose if self.mode == "triggered" else None
             if answers is None:
                 for command in commands:
                     simulator.hear(command.pose, 1e-9 * (command.log_time - zero))
@@ -160,12 +178,14 @@ class Replay:
         summary.step_median, summary.step_p99 = costs.percentile(50.0), costs.percentile(99.0)
 
     @property
-    def _free(self) -> bool:
-        return self.selection.mode == "free"
+    def mode(self) -> Mode:
+        """When steps are made; see `Selection.mode`."""
+        mode: Mode = self.options["mode"]
+        return mode
 
     def _count(self) -> int:
         """Steps to be made. Raises BagError where the mode asks for recorded ones, and there are none."""
-        match self.selection.mode:
+        match self.mode:
             case "free":
                 return _steps(self._last() - self.start, self.scene.dt)
             case "triggered":
@@ -189,13 +209,13 @@ class Replay:
 
     def _moments(self) -> Iterator[_Moment]:
         """When steps begin and end, with the commands that came for each."""
-        if self.selection.mode == "triggered":
+        if self.mode == "triggered":
             for command in self.commands.poses():
                 at = command.log_time - self.start
                 yield _Moment(at, at, [command])
             return
         arrivals = Arrivals(self.commands.poses())
-        if self.selection.mode == "recorded":
+        if self.mode == "recorded":
             for begin in self._recorded_steps():
                 yield _Moment(begin, begin, arrivals.up_to(self.start + begin))
             return
@@ -218,7 +238,7 @@ class Replay:
 
     def _last(self) -> int:
         """Log time of the last pose that a step follows [ns]."""
-        moves = self._free and self.scene.plane is not None and self.plane_tally.good
+        moves = self.mode == "free" and self.scene.plane is not None and self.plane_tally.good
         return max(self.tally.last, self.plane_tally.last) if moves else self.tally.last
 
     def _window(self) -> tuple[int | None, int | None]:
@@ -236,7 +256,7 @@ class Replay:
             raise BagError(f"{self.reader.path}: duration: got {duration:.9g} s from {start:.9g} s on, {allowed}")
         return begin if start else None, end
 
-    def _summary(self, out: str | Path) -> Summary:
+    def _summary(self, out: str | Path, origin: Origin) -> Summary:
         """What is known before the first step."""
         tally, plane = self.tally, self.plane_tally
         summary = Summary(Path(out), self.commands.topic, tally.good, tally.refused, self.reader.warning)
@@ -244,6 +264,11 @@ class Replay:
             summary.plane_topic = self.plane.topic
             summary.plane_poses = plane.good if self.scene.plane is not None else 0
             summary.plane_refused = plane.refused + plane.good - summary.plane_poses
+        summary.resets = sum(change.reset for change in self.changes)
+        summary.live_changes, summary.left_out = len(self.changes) - summary.resets, self.left_out
+        summary.as_recorded = self.as_recorded
+        if self.origin is not None:
+            summary.differences = list(differences(origin, after(self.origin, self._before)))
         return summary
 
     def _leave(self, recording: BagWriter, summary: Summary, error: BaseException) -> str:
@@ -258,7 +283,7 @@ class Replay:
 
 
 def run(
-    scene: Scene,
+    scene: Scene | None,
     bag: str | Path,
     out: str | Path,
     selection: Selection | None = None,
@@ -271,15 +296,17 @@ def run(
     The newest command received up to the beginning of a step holds during it; the first one places the finger
     at rest. Poses of the plane in the bag move it likewise: it rests at the newest before the first command. The last
     step is the one that follows the last of all these. Both are copied as they were read, those that are refused
-    too: replayed, `out` gives itself.
+    too, and so are live changes that are followed: replayed, `out` gives itself.
     A bag that the node recorded from its first command on gives the live wrench back but for where steps begin:
     what is live at a time is here within two steps of it. Of one that began later the history is not known.
     In mode triggered, as the node's, there is one step for each command, stamped with its receipt: what the node
     recorded in that mode from its first command on comes back bit by bit (but for when a moving plane's poses came).
 
-    selection : what of the bag is simulated, and in which mode; all, and free, if left out
+    scene     : None: what the bag was made with, the node's parameters and all that was changed live; see Replay.
+                Resets are made in any case, each before the first step that begins after it
+    selection : what of the bag is simulated, and in which mode; all, if left out
     progress   : called after every step
-    simulator : of this scene, instead of a new one
+    simulator : of the scene that is simulated, instead of a new one
     Raises BagError for a bag that cannot be read or made and for a selection that is not in it, and what Simulator
     raises. SIGINT and SIGTERM take effect between two steps. Whatever ends it before its end leaves a finished bag
     of the steps made by then, with the reason in its metadata; where there are none, no bag.

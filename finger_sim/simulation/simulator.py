@@ -304,6 +304,11 @@ class Simulator:
         return dict(zip(WORK, self._state.work.tolist(), strict=True))
 
     @property
+    def plane_pose(self) -> Pose | None:
+        """Where the plane is: the x-y plane of this pose, its z the outward normal, world; None without one."""
+        return None if self._ground is None else self._ground.frame
+
+    @property
     def node_mass(self) -> Floats:
         """Lumped mass of each node (n,) [kg], read-only."""
         return read_only(self._model.mass)

@@ -29,6 +29,16 @@ class Summary:
     plane_poses: int = 0
     plane_refused: int = 0
     """Poses of the plane left out: as commands are, or all, where the scene has no plane."""
+    as_recorded: bool = False
+    """Whether what the bag was made with was simulated, and no scene that was given."""
+    live_changes: int = 0
+    """Recorded changes of parameters that were made again."""
+    left_out: int = 0
+    """Recorded changes of parameters that were not, as a scene was given."""
+    resets: int = 0
+    """Recorded resets, all made again."""
+    differences: list[str] | None = None
+    """Of what was simulated from what the bag was made with, a text for each; None where it does not say."""
     steps: int = 0
     duration: float = 0.0
     """Simulated time [s]."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import random
-import shutil
 import signal
 import struct
 import subprocess
@@ -479,21 +478,6 @@ def test_clocks_that_jump_lose_nothing(tmp_path: Path) -> None:
         summary = make_reader(stream).get_summary()
     assert summary is not None
     assert max(c.message_end_time - c.message_start_time for c in summary.chunk_indexes) < FLUSH_PERIOD * 1e9
-
-
-FOXGLOVE = Path(__file__).parent / "foxglove"
-
-
-@pytest.fixture(scope="session")
-def foxglove() -> tuple[str, ...]:
-    """The command that reads a bag with Foxglove's packages; skips where they are not installed, in CI it fails."""
-    missing = [name for name in json.loads((FOXGLOVE / "package.json").read_text())["dependencies"]
-               if not (FOXGLOVE / "node_modules" / name).is_dir()]  # fmt: skip
-    missing += [] if shutil.which("node") else ["node"]
-    if missing:
-        reason = f"needs {', '.join(missing)}: npm ci --prefix tests/bags/foxglove"
-        (pytest.fail if os.environ.get("CI") else pytest.skip)(reason)
-    return ("node", str(FOXGLOVE / "read.js"))
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])

@@ -271,6 +271,25 @@ def test_run_writes_a_bag_named_after_what_went_in(capsys, here):
     assert "commands_block: exists already" in fails(capsys, "run", "block.yaml", "--bag", "commands")
 
 
+def test_run_without_a_scene_takes_the_recorded_one(capsys, here):
+    """And says so; another scene is said to be one, key by key; a bag that holds none needs one. `info` tells too."""
+    does(capsys, "run", "block.yaml", "--bag", "commands", "-o", "made")
+    said = does(capsys, "run", "--bag", "made")
+    assert re.search(r"^scene +as recorded, 0 live changes made again *$", said, re.MULTILINE)
+    assert re.search(r"^bag +made_again *$", said, re.MULTILINE)
+    forces = [[m.data for m in BagReader(path).messages(["contact_wrench"])] for path in ("made", "made_again")]
+    assert forces[0] == forces[1]
+    Path("other.yaml").write_text(SCENE.replace("friction: 0.5", "friction: 0.25"))
+    said = does(capsys, "run", "other.yaml", "--bag", "made")
+    assert re.search(r"^scene +as given, other than the recorded one *$", said, re.MULTILINE)
+    assert re.search(r"^differs +plane\.friction 0\.25 \(recorded: 0\.5\) *$", said, re.MULTILINE)
+    said = does(capsys, "info", "made")
+    assert re.search(r"^made by +run of finger_sim \d", said, re.MULTILINE)
+    assert re.search(r"^scene +a beam \(sha256 [0-9a-f]{12}…\), dt 0\.005 s *$", said, re.MULTILINE)
+    assert re.search(r"^changed live +nothing *$", said, re.MULTILINE)
+    assert "commands: holds no scene" in fails(capsys, "run", "--bag", "commands")
+
+
 def test_run_into_a_place_that_cannot_be_made(capsys, here):
     """The last line says so, exit code 2."""
     assert main(["run", "block.yaml", "--bag", "commands", "-o", "block.yaml/out"]) == 2

@@ -14,8 +14,8 @@ from ros_helpers import Client, NodeProcess, write_block
 from finger_sim import FingerSimError, Scene, SceneError
 from finger_sim.ros import parameters, rclpy_private
 from finger_sim.ros.options import NodeOptions
-from finger_sim.ros.parameters import to_ros
 from finger_sim.scene.fields import specs
+from finger_sim.scene.ros_values import to_ros
 
 SCENE = Scene.from_dict(
     {

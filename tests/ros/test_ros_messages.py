@@ -21,6 +21,7 @@ from visualization_msgs.msg import Marker
 
 from finger_sim.bags import cdr
 from finger_sim.bags.layout import POINT_DTYPE, pack_points
+from finger_sim.bags.template import doubles
 from finger_sim.ros import messages
 from finger_sim.scene import Pose
 
@@ -43,7 +44,7 @@ def test_a_wrench_arrives_as_the_message(frame_id):
     message = stamped(WrenchStamped, frame_id)
     f, t = message.wrench.force, message.wrench.torque
     f.x, f.y, f.z, t.x, t.y, t.z = values.tolist()
-    filled = messages.wrench_template(frame_id).fill(STAMP, messages.doubles(values))
+    filled = messages.wrench_template(frame_id).fill(STAMP, doubles(values))
     assert len(filled) == len(serialize_message(message))
     assert deserialize_message(filled, WrenchStamped) == message
 
@@ -55,7 +56,7 @@ def test_a_pose_arrives_as_the_message(frame_id):
     message = stamped(PoseStamped, frame_id)
     p, q = message.pose.position, message.pose.orientation
     p.x, p.y, p.z, q.x, q.y, q.z, q.w = (float(v) for v in values)
-    filled = messages.pose_template(frame_id).fill(STAMP, messages.doubles(values))
+    filled = messages.pose_template(frame_id).fill(STAMP, doubles(values))
     assert len(filled) == len(serialize_message(message))
     assert deserialize_message(filled, PoseStamped) == message
 
@@ -64,9 +65,9 @@ def test_a_pose_arrives_as_the_message(frame_id):
 def test_the_node_sends_the_bytes_that_a_replay_writes(frame_id):
     """Also those that align a number after a name: recordings of the same steps are the same files."""
     wrench, pose = RNG.normal(size=6), RNG.normal(size=7)
-    filled = messages.wrench_template(frame_id).fill(STAMP, messages.doubles(wrench))
+    filled = messages.wrench_template(frame_id).fill(STAMP, doubles(wrench))
     assert filled == cdr.wrench_stamped(STAMP, frame_id, wrench)
-    filled = messages.pose_template(frame_id).fill(STAMP, messages.doubles(pose))
+    filled = messages.pose_template(frame_id).fill(STAMP, doubles(pose))
     assert filled == cdr.pose_stamped(STAMP, frame_id, pose[:3], pose[3:])
 
 
@@ -101,7 +102,7 @@ def test_cloud_arrives_with_its_fields():
 def test_marker_arrives_with_corners_and_colors():
     """A TRIANGLE_LIST with one colour a corner, in the world frame, not scaled or moved."""
     corners, colors = RNG.normal(size=(6, 3)), messages.ramp_colors(np.linspace(0, 1, 6))
-    filled = messages.marker_template("world", 6).fill(STAMP, messages.doubles(corners), colors.tobytes())
+    filled = messages.marker_template("world", 6).fill(STAMP, doubles(corners), colors.tobytes())
     marker = deserialize_message(filled, Marker)
     assert marker.type == Marker.TRIANGLE_LIST
     assert (marker.scale.x, marker.pose.orientation.w, marker.header.frame_id) == (1.0, 1.0, "world")
@@ -112,7 +113,7 @@ def test_marker_arrives_with_corners_and_colors():
 def test_a_block_of_another_length_is_refused():
     """A message never changes its length."""
     with pytest.raises(ValueError, match="block"):
-        messages.pose_template("world").fill(STAMP, messages.doubles(np.zeros(6)))
+        messages.pose_template("world").fill(STAMP, doubles(np.zeros(6)))
 
 
 def test_topology_keeps_indices():
@@ -178,7 +179,7 @@ def test_a_stamp_that_is_no_time_is_refused():
                 messages.read_pose(way)
     message.header.stamp.sec, message.header.stamp.nanosec = 2**31 - 1, 999_999_999
     latest = messages.read_pose(serialize_message(message)).stamp
-    filled = messages.pose_template("world").fill(latest, messages.doubles(np.zeros(7)))
+    filled = messages.pose_template("world").fill(latest, doubles(np.zeros(7)))
     assert deserialize_message(filled, PoseStamped).header.stamp == message.header.stamp
 
 
@@ -186,7 +187,7 @@ def test_a_stamp_that_is_no_time_is_refused():
 def test_a_clock_that_shows_no_time_of_a_header_gives_the_nearest(nanoseconds):
     """Whoever publishes /clock may set it to what no header can hold."""
     clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=nanoseconds))
-    filled = messages.pose_template("world").fill(messages.time_of(clock), messages.doubles(np.zeros(7)))
+    filled = messages.pose_template("world").fill(messages.time_of(clock), doubles(np.zeros(7)))
     assert deserialize_message(filled, PoseStamped).header.stamp.sec == (0 if nanoseconds < 0 else 2**31 - 1)
 
 

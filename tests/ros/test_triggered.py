@@ -11,7 +11,6 @@ from ros_helpers import Client, NodeProcess, command, write_block
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from finger_sim import Scene
 from finger_sim.bags.reader import BagReader
 from finger_sim.simulation import replay
 
@@ -161,7 +160,10 @@ def test_the_same_commands_give_the_same_bits(client):
 
 
 def test_a_recording_replays_to_the_last_bit(tmp_path):
-    """Presses and slides at any pace, live; `run` in mode triggered computes the same wrenches from the recording."""
+    """Presses and slides at any pace, live; `run` computes the same wrenches from the recording alone.
+
+    Friction set and resets made between commands, which may then wait for their steps, are in the right ones.
+    """
     bag, scene = tmp_path / "bag", write_block(tmp_path)
     arguments = ("-p", f"scene:={scene}", "-p", "mode:=triggered", "-p", f"record:={bag}")
     with NodeProcess(tmp_path / "log", *arguments) as node, Client(node.domain) as client:
@@ -174,11 +176,15 @@ def test_a_recording_replays_to_the_last_bit(tmp_path):
             q = message.pose.orientation
             q.x, q.y, q.z, q.w = 0.1 * math.sin(0.1 * k), 0.02, -0.07, 1.7
             client.publish(message)
+            if k % 20 == 15:
+                assert client.set("plane.friction", 0.02 * k).successful
+            if k in (37, 73):
+                assert client.call(Trigger, "/finger/reset", Trigger.Request()).success
             client.until(lambda k=k: k % 3 or k in numbers(poses))
         client.until(lambda: 99 in numbers(poses))
         assert node.end() == 0
-    summary = replay.run(Scene.load(str(scene)), bag, tmp_path / "again", replay.Selection(mode="triggered"))
-    assert summary.steps == 100
+    summary = replay.run(None, bag, tmp_path / "again")
+    assert (summary.steps, summary.live_changes, summary.resets) == (100, 5, 2)
     live, again = (
         [m.data[-48:] for m in BagReader(path).messages(["/contact_wrench"])] for path in (bag, tmp_path / "again")
     )

@@ -22,7 +22,7 @@ from finger_sim.bags import cdr
 from finger_sim.bags.layout import POINT_NAMES, express_wrench, node_strain, pack_points, wrench_frame_id
 from finger_sim.bags.reader import BagReader, BagWriter, read_commands, write_commands
 from finger_sim.errors import BagError
-from finger_sim.scene import Coupling, Pose, Scene, place
+from finger_sim.scene import Pose, Scene, place
 from finger_sim.simulation import replay
 
 START = 1_700_000_000_123_456_789
@@ -49,9 +49,12 @@ class FakeSimulator:
         self.planes: list[Pose | None] = []
         self.resets: list[Pose] = []
         tets = np.array([[0, 1, 2, 3]])
-        self.mesh = SimpleNamespace(points=np.vstack([np.zeros(3), np.eye(3)]), tets=tets, surface=tets[:, :3])
+        self.mesh = SimpleNamespace(
+            points=np.vstack([np.zeros(3), np.eye(3)]), tets=tets, surface=tets[:, :3], node_sets={}, axes=np.eye(3)
+        )
         self.strain_ratio = np.array([0.75])
         self.contact_forces = np.arange(12.0).reshape(4, 3)
+        self.plane_pose = None
 
     set_down_by = 0.0
 
@@ -79,8 +82,8 @@ class FakeSimulator:
         )
 
 
-def scene(dt: float) -> Any:
-    return SimpleNamespace(dt=dt, plane=None, coupling=Coupling())
+def scene(dt: float, plane: dict[str, Any] | None = None) -> Scene:
+    return Scene.from_dict({"mesh": {"beam": {}}, "dt": dt, "plane": plane})
 
 
 def commands(path: Path, receipts: list[int]) -> Path:
@@ -134,7 +137,7 @@ def test_output_is_what_the_node_publishes(tmp_path: Path) -> None:
             assert schema is not None
             found.setdefault(f"{channel.topic} {schema.name}", []).append((message.log_time, decoded))
             if channel.topic not in ("/mesh_topology", "/command_pose"):
-                stamp = decoded.header.stamp
+                stamp = (decoded.transforms[0] if channel.topic == "/tf" else decoded).header.stamp
                 assert stamp.sec * 10**9 + stamp.nanosec == message.log_time
     assert {topic: len(messages) for topic, messages in found.items()} == {
         "/command_pose geometry_msgs/msg/PoseStamped": 501,
@@ -143,6 +146,7 @@ def test_output_is_what_the_node_publishes(tmp_path: Path) -> None:
         "/pose geometry_msgs/msg/PoseStamped": 1001,
         "/mesh_points sensor_msgs/msg/PointCloud2": 61,
         "/mesh_topology shape_msgs/msg/Mesh": 1,
+        "/tf tf2_msgs/msg/TFMessage": 101,
     }
     _, wrench = found["/contact_wrench geometry_msgs/msg/WrenchStamped"][41]
     assert (wrench.header.frame_id, wrench.wrench.force.z) == ("finger_world_aligned", 42.0)
@@ -213,8 +217,7 @@ def test_the_plane_goes_where_it_was_told(tmp_path: Path) -> None:
     ms = 1_000_000
     bag = plane_poses(tmp_path / "in", [-50 * ms, -1, 1, 3 * ms, 3 * ms + 5, 3 * ms + 7, 20 * ms, 90 * ms], bad=(6,))
     fake = FakeSimulator()
-    with_plane = SimpleNamespace(dt=1e-3, plane=object(), coupling=Coupling())
-    summary = replay.run(with_plane, bag, tmp_path / "out", simulator=fake)  # type: ignore[arg-type]
+    summary = replay.run(scene(1e-3, plane={}), bag, tmp_path / "out", simulator=fake)  # type: ignore[arg-type]
     told = {k: plane.position[0] for k, plane in enumerate(fake.planes) if plane is not None}
     assert fake.laid is not None
     assert fake.laid.position[0] == 2

@@ -13,7 +13,8 @@ import pytest
 from finger_sim.bags import cdr
 from finger_sim.bags.reader import BagReader, BagWriter, write_commands
 from finger_sim.errors import BagError
-from finger_sim.scene import Coupling, Pose
+from finger_sim.scene import Pose, Scene
+from finger_sim.scene.mesh import TetMesh
 from finger_sim.simulation.costs import Costs
 from finger_sim.simulation.replay import Replay, Selection, run
 
@@ -30,9 +31,10 @@ class Stub:
         self.placed: float | None = None
         self.laid: float | None = None
         tets = np.array([[0, 1, 2, 3]])
-        self.mesh = SimpleNamespace(points=np.vstack([np.zeros(3), np.eye(3)]), tets=tets, surface=tets[:, :3])
+        self.mesh = TetMesh.from_arrays(np.vstack([np.zeros(3), np.eye(3)]), tets)
         self.positions = self.contact_forces = self.mesh.points
         self.strain_ratio = np.zeros(1)
+        self.plane_pose = None
 
     set_down_by = 0.0
 
@@ -62,8 +64,8 @@ class Forgetful(Stub):
     def note(self, command: float, plane: float | None) -> None: ...
 
 
-def scene(dt: float = 1e-3, plane: bool = True) -> Any:
-    return SimpleNamespace(dt=dt, plane=object() if plane else None, coupling=Coupling())
+def scene(dt: float = 1e-3) -> Scene:
+    return Scene.from_dict({"mesh": {"beam": {}}, "plane": {}, "dt": dt})
 
 
 def bag_of(path: Path, commands: dict[int, float], plane: dict[int, float] | None = None) -> Path:

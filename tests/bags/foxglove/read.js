@@ -1,4 +1,5 @@
-// Prints the profile of an MCAP file, how many messages it has, and of each the x of its pose and its log time.
+// Prints the profile of an MCAP file, how many messages it has, and of each the x of its pose, or of its transforms by
+// their frames, and its log time.
 const { McapIndexedReader } = require("@mcap/core");
 const { parse } = require("@foxglove/rosmsg");
 const { MessageReader } = require("@foxglove/rosmsg2-serialization");
@@ -22,7 +23,9 @@ const decompressHandlers = {
       const definition = parse(new TextDecoder().decode(schema.data), { ros2: true });
       readers.set(schema.id, new MessageReader(definition));
     }
-    out.x.push(readers.get(schema.id).readMessage(message.data).pose.position.x);
+    const { pose, transforms } = readers.get(schema.id).readMessage(message.data);
+    const places = (transforms ?? []).map((t) => [t.child_frame_id, t.transform.translation.x]);
+    out.x.push(pose ? pose.position.x : Object.fromEntries(places));
     out.times.push(String(message.logTime));
   }
   console.log(JSON.stringify(out));

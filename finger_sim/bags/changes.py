@@ -1,0 +1,127 @@
+"""What was changed while a bag was recorded: parameters set live, and resets.
+
+A node records each on the steps' own thread when it takes effect, between the last step without it and the first one
+with it: parameters on /parameter_events as rclpy publishes them, resets on a topic of their own.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from ..errors import BagError, SceneError
+from ..scene import Scene
+from ..scene.reference import dotted
+from ..scene.ros_values import from_ros
+from . import cdr
+from .excerpt import Received
+from .metadata import Qos
+from .origin import Origin
+from .reader import BagReader, Message, absolute
+
+EVENTS = "/parameter_events"
+EVENTS_QOS = Qos(depth=1000)
+RESET = "reset"
+"""Last part of the name of the topic with resets: as that of the service which makes them."""
+RESET_QOS = Qos()
+
+
+class Change(NamedTuple):
+    """One change of a recording."""
+
+    time: int
+    """Log time from which it holds: it is made before the first step that begins then or later [ns]."""
+    scene: Mapping[str, Any]
+    """Live values of the scene by their dotted keys, as `Simulator.apply` takes them."""
+    options: Mapping[str, Any]
+    """The node's own parameters, plain values by name."""
+    reset: bool
+    """Back to rest at the last command."""
+    message: Message
+    """As it was recorded."""
+
+
+def changes_in(reader: BagReader) -> list[Change]:
+    """All changes of a bag in the order in which they were made. Raises BagError for one that cannot be read."""
+    topics = [topic.name for topic in reader.topics if topic.count and _tells_changes(topic.name, topic.type)]
+    if not topics:
+        return []
+    scene_keys = {name: spec for name, spec, _ in dotted(Scene) if spec.live}
+    out = []
+    for message in reader.messages(topics):
+        scene: dict[str, Any] = {}
+        options: dict[str, Any] = {}
+        reset = message.type == cdr.EMPTY
+        for name, value in () if reset else _set_values(reader, message):
+            if name in scene_keys:
+                scene[name] = from_ros(value, scene_keys[name])
+            else:
+                options[name] = value
+        out.append(Change(message.log_time, scene, options, reset, message))
+    return out
+
+
+def changed(reader: BagReader, scene: Scene, changes: Iterable[Change]) -> Scene:
+    """The scene after these changes. Raises BagError for a value that the scene refuses."""
+    for change in changes:
+        try:
+            scene = scene.with_values(change.scene) if change.scene else scene
+        except SceneError as error:
+            raise BagError(
+                f"{reader.path}: topic {change.message.topic}: a recorded change is refused: {error}"
+            ) from None
+    return scene
+
+
+def after(origin: Origin, changes: Iterable[Change]) -> Origin:
+    """What made a bag, with scene and options after these changes, whatever they are."""
+    scene, options = copy.deepcopy(dict(origin.scene)), dict(origin.options)
+    for change in changes:
+        options.update(change.options)
+        for key, value in change.scene.items():
+            *blocks, name = key.split(".")
+            block = scene
+            for part in blocks:
+                block = block.setdefault(part, {})
+            block[name] = value
+    return replace(origin, scene=scene, options=options)
+
+
+def before_their_steps(reader: BagReader, commands: Iterator[Received], changes: list[Change]) -> list[Change]:
+    """The changes of a recording in mode triggered, each by the receipt of the first command whose step had it.
+
+    A command may have waited for its step while a change was made: the wrenches recorded by then tell how many steps
+    had been.
+    """
+    names = [absolute(topic.name) for topic in reader.topics if topic.type == cdr.WRENCH_STAMPED]
+    wrenches = [name for name in names if name.endswith("/contact_wrench")]
+    if not changes or len(wrenches) != 1:
+        return changes
+    steps = (message.log_time for message in reader.messages(wrenches))
+    end = next(steps, None)
+    command = next(commands, None)
+    out = []
+    for change in changes:
+        while end is not None and end < change.time:
+            end, command = next(steps, None), next(commands, None)
+        out.append(change if command is None else change._replace(time=min(change.time, command.log_time)))
+    return out
+
+
+def _tells_changes(name: str, kind: str) -> bool:
+    name = absolute(name)
+    return (name == EVENTS and kind == cdr.PARAMETER_EVENT) or (name.endswith(f"/{RESET}") and kind == cdr.EMPTY)
+
+
+def _set_values(reader: BagReader, message: Message) -> Iterator[tuple[str, Any]]:
+    """Names and values that a ParameterEvent tells of."""
+    try:
+        event = cdr.deserialize(message.data, cdr.PARAMETER_EVENT)
+    except ValueError as error:
+        raise BagError(f"{reader.path}: topic {message.topic}: {error}") from None
+    for parameter in (*event.new_parameters, *event.changed_parameters):
+        if parameter.value.type in cdr.PARAMETER_FIELDS:
+            value = getattr(parameter.value, cdr.PARAMETER_FIELDS[parameter.value.type])
+            yield parameter.name, value.tolist() if hasattr(value, "tolist") else value
