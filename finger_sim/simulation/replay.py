@@ -163,7 +163,7 @@ class Replay:
             newest = commands[-1] if commands else newest
             assert newest is not None
             rendering.watch(1e-9 * (self.start + moment.begin - newest.log_time))
-            device = rendering.render(result.device_wrench, self.scene.coupling, self.scene.dt)
+            device = rendering.render(result.device_wrench, simulator.scene.coupling, self.scene.dt)
             costs.add(time.perf_counter() - clock)
             for copy in copies:
                 copy.up_to(self.start + moment.end)
@@ -190,10 +190,11 @@ class Replay:
                 return _steps(self._last() - self.start, self.scene.dt)
             case "triggered":
                 return self.tally.good
-        count = sum(1 for _ in self._recorded_steps())
+        by_node = self.origin is not None and (self.origin.made_by == "node" or self.origin.options["mode"] == "recorded")
+        count = sum(1 for _ in self._recorded_steps()) if by_node else 0
         if count == 0:
-            topic = self._steps_topic
-            raise BagError(f"{self.reader.path}: mode recorded needs the topic {topic} of the node that recorded it")
+            needed = f"a bag that the node itself recorded, with the topic {self._steps_topic}"
+            raise BagError(f"{self.reader.path}: mode: got recorded, which needs {needed}; allowed: free, triggered")
         return count
 
     @property

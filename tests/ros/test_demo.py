@@ -315,7 +315,7 @@ from finger_sim.ros.node import main
 class Broken(stepper.Simulator):
     left = 20
 
-    def step(self, command=None, plane=None):
+    def step(self, command=None, plane=None, *, now=None):
         self.left -= command is not None
         if self.left < 0:
             raise ValueError("no such luck")

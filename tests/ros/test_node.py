@@ -501,7 +501,7 @@ class Stuck(stepper.Simulator):
         super().__init__(scene, progress)
         self.left = 20
 
-    def step(self, command=None, plane=None):
+    def step(self, command=None, plane=None, *, now=None):
         self.left -= 1
         if self.left < 0:
             {then}

@@ -22,7 +22,7 @@ from finger_sim.bags import cdr
 from finger_sim.bags.layout import POINT_NAMES, express_wrench, node_strain, pack_points, wrench_frame_id
 from finger_sim.bags.reader import BagReader, BagWriter, read_commands, write_commands
 from finger_sim.errors import BagError
-from finger_sim.scene import Pose, Scene, place
+from finger_sim.scene import Coupling, Pose, Scene, place
 from finger_sim.simulation import replay
 
 START = 1_700_000_000_123_456_789
@@ -57,6 +57,7 @@ class FakeSimulator:
         self.plane_pose = None
 
     set_down_by = 0.0
+    scene = SimpleNamespace(coupling=Coupling())
 
     def reset(self, pose: Pose, plane: Pose | None = None) -> None:
         self.resets.append(pose)

@@ -13,7 +13,7 @@ import pytest
 from finger_sim.bags import cdr
 from finger_sim.bags.reader import BagReader, BagWriter, write_commands
 from finger_sim.errors import BagError
-from finger_sim.scene import Pose, Scene
+from finger_sim.scene import Coupling, Pose, Scene
 from finger_sim.scene.mesh import TetMesh
 from finger_sim.simulation.costs import Costs
 from finger_sim.simulation.replay import Replay, Selection, run
@@ -37,6 +37,7 @@ class Stub:
         self.plane_pose = None
 
     set_down_by = 0.0
+    scene = SimpleNamespace(coupling=Coupling())
 
     def hear(self, pose: Pose, received: float) -> None:
         self.newest = pose
