@@ -319,7 +319,7 @@ class Broken(stepper.Simulator):
         self.left -= command is not None
         if self.left < 0:
             raise ValueError("no such luck")
-        return super().step(command, plane)
+        return super().step(command, plane, now=now)
 
 {then}
 sys.exit(main())

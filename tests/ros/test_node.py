@@ -505,7 +505,7 @@ class Stuck(stepper.Simulator):
         self.left -= 1
         if self.left < 0:
             {then}
-        return super().step(command, plane)
+        return super().step(command, plane, now=now)
 
 stepper.Simulator = Stuck
 sys.exit(main())

@@ -58,6 +58,7 @@ class Log:
     def __init__(self) -> None:
         self.steps = 0
         self.told: list[tuple[int, Any]] = []
+        self.scene = BEAM
         self.mesh = BEAM.load_mesh()
         self.positions = self.contact_forces = self.mesh.points
         self.strain_ratio = np.zeros(len(self.mesh.tets))
