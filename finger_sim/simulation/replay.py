@@ -190,7 +190,8 @@ class Replay:
                 return _steps(self._last() - self.start, self.scene.dt)
             case "triggered":
                 return self.tally.good
-        by_node = self.origin is not None and (self.origin.made_by == "node" or self.origin.options["mode"] == "recorded")
+        origin = self.origin
+        by_node = origin is not None and (origin.made_by == "node" or origin.options.get("mode") == "recorded")
         count = sum(1 for _ in self._recorded_steps()) if by_node else 0
         if count == 0:
             needed = f"a bag that the node itself recorded, with the topic {self._steps_topic}"

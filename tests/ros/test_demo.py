@@ -315,11 +315,11 @@ from finger_sim.ros.node import main
 class Broken(stepper.Simulator):
     left = 20
 
-    def step(self, command=None, plane=None, *, now=None):
-        self.left -= command is not None
+    def hear(self, command, received):
+        self.left -= 1
         if self.left < 0:
             raise ValueError("no such luck")
-        return super().step(command, plane, now=now)
+        super().hear(command, received)
 
 {then}
 sys.exit(main())
