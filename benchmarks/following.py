@@ -155,12 +155,12 @@ def draw(study: Study, out: Path) -> None:
                 (device, _), delay = study.run(name, mode, rate, 0.2, 0)
                 time = 1e-3 * np.arange(len(device))
                 axis = 2 if name == "press" else 0
-                ax.plot(time, device[:, axis], color="#d1730f", linewidth=0.8, label=f"{rate:g} Hz, jitter 20 %")
+                ax.plot(time, device[:, axis], color="#d1730f", linewidth=0.8, label="uneven commands, jitter 20 %")
                 ax.plot(time, smooth[:, axis], color="#0b5394", linewidth=1.1, label="a command for every step")
                 ax.set_title(f"{mode}: {delay} ms late, at most {largest_change(device):.2f} N in 1 ms", fontsize=9)
                 ax.set_xlim(0.6, 1.6)
-            axes[0].set_ylabel(f"device force [N], {what}")
-        rows[0][0].legend(frameon=False, fontsize=7.5, loc="upper right")
+            axes[0].set_ylabel(f"device force [N]\n{what}, {rate:g} Hz")
+        rows[0][1].legend(frameon=False, fontsize=8, loc="upper right")
         for ax in rows[1]:
             ax.set_xlabel("time [s]")
         figure.savefig(out, dpi=150)
