@@ -157,5 +157,5 @@ class Follower:
             wait = max(0.0, cadence.longest_wait - dt) if cadence.interval > 0.0 else self._late
             wanted = min(wait + cadence.spread, LONGEST_WINDOW) if wait > EXACT else 0.0
         if wanted != self._window:
-            most = math.inf if self._path.standing(begin - wanted, begin) else WINDOW_SLEW * dt
+            most = math.inf if self._path.standing(begin - max(wanted, self._window), begin) else WINDOW_SLEW * dt
             self._window += min(max(wanted - self._window, -most), most)

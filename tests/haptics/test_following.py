@@ -224,3 +224,22 @@ def test_a_coupled_finger_pressed_is_not_kicked() -> None:
     assert largest_change(device) < 2.0 * largest_change(smooth)
     assert np.linalg.norm(pressed, axis=1).max() == pytest.approx(np.linalg.norm(contact, axis=1).max(), rel=0.02)
     assert largest_change(wrenches(commands, "hold", 1.9)[0]) > 10.0 * largest_change(smooth)
+
+
+@for_each("scene", ["finger_haptic", "finger_coupled"])
+def test_a_start_inside_the_plane_is_no_blow(scene: str) -> None:
+    """2.2 mm deep: put on the plane, and there in a tenth of a second; then what it is after a slow press."""
+    sim = Simulator(Scene.load(scene))
+    deep = pose((0.0, 0.0, 0.0051), FLAT)
+    sim.reset(deep)
+    assert sim.set_down_by == pytest.approx(2.24e-3, abs=0.1e-3)
+    forces = np.array([sim.step(deep).contact_wrench[:3] for _ in range(1000)])
+    assert np.linalg.norm(forces[:2], axis=1).max() < 0.01
+    assert largest_change(forces) < 0.06 * forces[-1, 2]
+    assert sim.follower.pose is deep
+    sim.reset(pose((0.0, 0.0, 0.0080), FLAT))
+    assert sim.set_down_by == 0.0
+    for height in np.arange(0.0080, 0.0051, -2e-5):
+        sim.step(pose((0.0, 0.0, height), FLAT))
+    slowly = [sim.step(deep).contact_wrench[2] for _ in range(500)][-1]
+    assert forces[-1, 2] == pytest.approx(slowly, rel=0.03)
