@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 from ..arrays import Floats
+from ..physics import step as stepping
 from ..physics.step import Status
 from ..scene import Pose
 
@@ -35,3 +37,15 @@ class StepResult:
             self.limited_tets, self.limit_rows, self.locked_tets, self.max_strain_ratio, self.contacts,
             self.max_penetration, True,
         )  # fmt: skip
+
+
+def measured(result: list[float]) -> dict[str, Any]:
+    """The fields that the kernel itself tells, of State.result."""
+    return {
+        "limited_tets": int(result[stepping.LIMITED_TETS]),
+        "limit_rows": int(result[stepping.LIMIT_ROWS]),
+        "locked_tets": int(result[stepping.LOCKED_TETS]),
+        "max_strain_ratio": result[stepping.STRAIN_RATIO],
+        "contacts": int(result[stepping.CONTACTS]),
+        "max_penetration": result[stepping.PENETRATION],
+    }

@@ -28,7 +28,7 @@ from .build import build_model, with_live_values
 from .drive import Drive
 from .ground import Ground
 from .guard import Guard, Verdict
-from .result import StepResult
+from .result import StepResult, measured
 from .rigid import Placed, best_fit, carried, twist_of
 
 Tell = Callable[[str], None]
@@ -72,11 +72,13 @@ class Simulator:
         self.set_down_by = 0.0
         """How far above its command the last reset put the body, as it would have been in the plane [m]."""
         self._was_set_down = False
-        self._steps = 0
-        self._timed = timed
+        self._steps, self._timed = 0, timed
         with compiling(tell, KERNELS):
             self._ready = ready(self._model, self._state)
-            self._warm_up()
+            # Every kernel that a run will call is compiled or loaded here.
+            self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
+            advance(self._ready, self._rest_driven.copy(), scene.dt / scene.substeps)
+            measure_strains(self._ready)
         self.reset(scene.initial_pose)
         tell("ready")
 
@@ -190,12 +192,7 @@ class Simulator:
             iterations=iterations,
             residual=residual,
             status=Status(status),
-            limited_tets=int(result[stepping.LIMITED_TETS]),
-            limit_rows=int(result[stepping.LIMIT_ROWS]),
-            locked_tets=int(result[stepping.LOCKED_TETS]),
-            max_strain_ratio=result[stepping.STRAIN_RATIO],
-            contacts=int(result[stepping.CONTACTS]),
-            max_penetration=result[stepping.PENETRATION],
+            **measured(result),
         )
 
     def reset(self, pose: Pose | None = None, plane: Pose | None = None) -> None:
@@ -212,9 +209,7 @@ class Simulator:
         pose = self._drive.command if pose is None else self._checked(pose)
         if self._ground is not None:
             self._ground.arrive(plane)
-        there = pose
-        if self._driven and self._ground is not None:
-            there = outside(*self._ground.surface, self._skin, pose)
+        there = outside(*self._ground.surface, self._skin, pose) if self._driven and self._ground else pose
         self.set_down_by = math.dist(there.position, pose.position)
         self._drive.rest(there, pose)
         self.pose = there
@@ -353,9 +348,3 @@ class Simulator:
                 self.pose = there
                 self._restore()
                 self._was_set_down = True
-
-    def _warm_up(self) -> None:
-        """Compile or load every kernel that a run will call."""
-        self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
-        advance(self._ready, self._rest_driven.copy(), self.scene.dt / self.scene.substeps)
-        measure_strains(self._ready)
