@@ -135,7 +135,7 @@ class Follower:
             path.append(end + self._late, pose)
             return
         before = cadence.time
-        meant = cadence.hear(received, now, at)
+        meant = cadence.hear(received, begin - self._offset, at)  # a stalled loop does not use up the path
         self._prediction.hear(meant, at, cadence)
         if path.end < begin - EXACT:
             self._late = max(0.0, begin - dt - (before + self._offset))
