@@ -67,7 +67,8 @@ class Follower:
         self._heard: list[tuple[Pose, float | None]] = []
         self._time = 0.0  # simulated, at the end of the last step
         self._offset = math.nan  # from the commands' clock to simulated time
-        self._stalled = False
+        self._stalled = self._predicts = False
+        self._before = pose
         self._late = self._window = 0.0
         self._path, self._prediction = Path(0.0, pose), Prediction(pose)
         if goal is not None and goal != pose:
@@ -82,17 +83,25 @@ class Follower:
         """One step of `dt` that begins at a time; None: dt after the last one began. Where the bone is wanted then."""
         begin, path = self._time, self._path
         stalls = self._keep_time(now, begin, dt)
+        now = begin - self._offset if now is None else now
         self._time = end = begin + dt
+        if (following == "predict") != self._predicts:
+            self._turn_to(following, dt)
+            path = self._path
+        if self.cadence is not None and now - self.cadence.received > PAUSE + dt:
+            del self._heard[:-1]  # after a pause, and after as long a stall, only the last one counts
         for pose, received in self._heard:
-            self._take(pose, received, begin - self._offset if now is None else now, dt, following, stalls)
+            self._take(pose, now if received is None else received, now, dt, following, stalls)
         self._heard.clear()
         path.forget(end - 2.0 * LONGEST_WINDOW)
+        before = self.pose
         if following == "predict":
             self.pose = self._prediction.advance(path.last, end - self._offset, dt)
         elif self.pose is not path.last or path.end + self._window > begin:
             self._widen(begin, dt, following)
             at_once = self._window == 0.0 and path.end <= end
             self.pose = path.last if at_once else path.mean(end - self._window, end)
+        self._before = before
         return self.pose
 
     def delay(self, following: Following) -> float:
@@ -110,29 +119,40 @@ class Follower:
             return False
         offset = begin - now
         behind = self._offset - offset
-        if not abs(behind) > EXACT:  # nor is it the first time
+        if not EXACT < abs(behind) < PAUSE:  # nor is it the first time
             self._offset, self._stalled = offset, False
             return False
         self._offset -= behind * min(1.0, dt / CATCHING_UP)
         self._stalled = behind > (CAUGHT_UP if self._stalled else STALL) * dt
         return self._stalled
 
-    def _take(
-        self, pose: Pose, received: float | None, now: float, dt: float, following: Following, stalls: bool
-    ) -> None:
+    def _turn_to(self, following: Following, dt: float) -> None:
+        """From the path to the prediction, or back: on from where the bone is, and as fast."""
+        self._predicts = following == "predict"
+        if self._predicts:
+            self._prediction.place(self.pose, self._before, dt)
+            return
+        last, self._late = self._path.last, 0.0 if following == "hold" else RESUME
+        self._window = 0.0 if following == "hold" else LONGEST_WINDOW
+        self._path = Path.passing(self._time - dt, self._before, self.pose, dt, LONGEST_WINDOW)
+        meant = self._time if self.cadence is None else self.cadence.time + self._offset + dt
+        self._path.append(max(meant + self._late, self._time), last)
+
+    def _take(self, pose: Pose, received: float, now: float, dt: float, following: Following, stalls: bool) -> None:
         """A command becomes the end of the path."""
         cadence, path, end = self.cadence, self._path, self._time
         begin = end - dt
-        received = now if received is None else received
         at = numbers(pose, path.last_numbers)
         if cadence is None or now - cadence.received > PAUSE + dt:
-            if cadence is not None and following != "hold":
+            takes = self._late
+            if cadence is not None:
                 way = math.dist(at, path.last_numbers)
-                self._late = min(RESUME, way / RESUME_SPEED) if way > RESUME_SPEED * dt else 0.0
+                takes = min(RESUME, way / RESUME_SPEED) if way > RESUME_SPEED * dt and following != "hold" else 0.0
+                self._late = takes + max(0.0, now - received) if takes > 0.0 else 0.0
             self.cadence = Cadence(received, at)
             self._prediction.begin(received, at)
             path.stand(begin)
-            path.append(end + self._late, pose)
+            path.append(end + takes, pose)
             return
         before = cadence.time
         meant = cadence.hear(received, begin - self._offset, at)  # a stalled loop does not use up the path
@@ -142,13 +162,13 @@ class Follower:
             path.stand(begin)
         if following == "hold":
             self._late = 0.0
-            time = received + self._offset + dt if stalls else end
+            path.append(received + self._offset + dt if stalls else end, pose)
         else:
             wanted, most = max(0.0, cadence.longest_wait - dt), SLEW * (meant - before)
             self._late += min(max(wanted - self._late, -most), most)
             self._late = self._late if self._late > EXACT else 0.0
             time = meant + self._offset + self._late + dt
-        path.append(end if abs(time - end) < EXACT else max(time, path.end + 1e-9), pose)
+            path.append(end if abs(time - end) < EXACT else max(time, path.end + 1e-9), pose)
 
     def _widen(self, begin: float, dt: float, following: Following) -> None:
         """The window as long as commands have to be waited for, and come unevenly: at once where the path stands."""

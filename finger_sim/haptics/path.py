@@ -17,6 +17,8 @@ Numbers = tuple[float, float, float, float, float, float, float]
 FINE_TURN = 0.2
 """Turns above this are split [rad]: straight lines between the quaternions are then slerp to 1e-4 rad."""
 
+SHORT = 1e-6
+"""Time in which no turn is split [s]."""
 _FINE = math.cos(0.5 * FINE_TURN)
 
 
@@ -35,6 +37,16 @@ class Path:
     def __init__(self, time: float, pose: Pose) -> None:
         self._knots = deque([_Knot(time, numbers(pose), pose)])
 
+    @classmethod
+    def passing(cls, time: float, before: Pose, pose: Pose, dt: float, window: float) -> Path:
+        """One whose mean over a window up to a time [s] is at `pose`, as fast as from `before` there in `dt` [s]."""
+        here = numbers(pose)
+        was = numbers(before, here)
+        ahead = [0.5 * window / dt * (b - a) for a, b in zip(was, here, strict=True)]
+        path = cls(time - window, _pose([a - b for a, b in zip(here, ahead, strict=True)]))
+        path.append(time, _pose([a + b for a, b in zip(here, ahead, strict=True)]))
+        return path
+
     @property
     def end(self) -> float:
         """Time of the last pose [s]."""
@@ -51,8 +63,14 @@ class Path:
         return self._knots[-1].at
 
     def append(self, time: float, pose: Pose) -> None:
-        """On to a pose at a later time [s]."""
-        knots, last = self._knots, self._knots[-1]
+        """On to a pose at a time [s]; poses from then on are replaced."""
+        knots = self._knots
+        while len(knots) > 1 and knots[-1].time >= time:
+            knots.pop()
+        last = knots[-1]
+        if last.time >= time:
+            knots[0] = _Knot(time, numbers(pose, last.at), pose)
+            return
         if last.pose == pose:
             if len(knots) > 1 and knots[-2].pose == pose:
                 knots.pop()
@@ -60,7 +78,7 @@ class Path:
             return
         at = numbers(pose, last.at)
         parts = 1
-        if sum(a * b for a, b in zip(at[3:], last.at[3:], strict=True)) < _FINE:
+        if sum(a * b for a, b in zip(at[3:], last.at[3:], strict=True)) < _FINE and time - last.time > SHORT:
             parts = math.ceil(angle(last.pose.orientation, pose.orientation) / FINE_TURN)
         for i in range(1, parts):
             share = i / parts

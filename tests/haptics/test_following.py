@@ -243,3 +243,48 @@ def test_a_start_inside_the_plane_is_no_blow(scene: str) -> None:
         sim.step(pose((0.0, 0.0, height), FLAT))
     slowly = [sim.step(deep).contact_wrench[2] for _ in range(500)][-1]
     assert forces[-1, 2] == pytest.approx(slowly, rel=0.03)
+
+
+def test_modes_change_in_motion_without_a_jump() -> None:
+    """Between path and prediction, at any time: on from where the bone is, as fast as it is."""
+    for modes in (("linear", "predict"), ("predict", "auto"), ("hold", "predict"), ("auto", "linear")):
+        commands, path = stream(66.0, 0.2, 2.0), []
+        follower = Follower(commands[0][1])
+        for k in range(1800):
+            while commands and commands[0][0] <= k * MS + 1e-12:
+                received, command = commands.pop(0)
+                follower.hear(command, received)
+            path.append(follower.advance(modes[k >= 1000], k * MS, MS).position)  # type: ignore[arg-type]
+        begin = 990 if modes[0] != "hold" else 1001
+        assert 3.0 * jerk(np.array(path[begin:])) < (0.15 if "predict" in modes else 0.05), modes
+
+
+def test_whatever_comes_the_bone_stays_between_the_commands_and_comes_to_rest() -> None:
+    """Commands at 5 Hz to 5 kHz jump and turn at random, come in bursts, out of order, from the future; clocks jump.
+
+    Finite, within the box of all that was heard, few knots are kept, and at the very last in the end.
+    """
+    for seed in range(24):
+        random = np.random.default_rng(seed)
+        dt, following = float(random.choice([1e-4, 1e-3, 4e-3])), ("auto", "linear", "hold", "predict")[seed % 4]
+        follower, rate, now = Follower(pose()), 10 ** random.uniform(0.7, 3.7), random.uniform(0.0, 1e6)
+        heard, due = [pose()], now
+        for k in range(500):
+            now += dt + (random.uniform(-0.05, 0.3) if random.random() < 0.01 else 0.0)
+            while due <= now and k < 400:
+                turn = Rotation.from_rotvec(random.normal(size=3))
+                heard.append(pose(random.uniform(-0.1, 0.1, 3), turn) if random.random() < 0.3 else heard[-1])
+                follower.hear(heard[-1], due + random.choice([0.0, 0.0, -0.002, 0.001]))
+                due += random.choice([0.0, 1.0, 1.0, 1.5]) / rate + (0.4 if random.random() < 0.02 else 0.0)
+            out = follower.advance(following, now, dt)  # type: ignore[arg-type]
+            assert np.linalg.norm(out.orientation) == pytest.approx(1.0, abs=1e-12)
+            box = np.array([command.position for command in heard])
+            if following != "predict":
+                assert (out.position >= box.min(axis=0) - 1e-12).all()
+                assert (out.position <= box.max(axis=0) + 1e-12).all()
+            assert 0.0 <= follower.delay(following) < 1.0  # type: ignore[arg-type]
+            assert len(follower._path._knots) < 3000
+        for _ in range(round(3.0 / dt) if following == "predict" else round(0.7 / dt)):
+            now += dt
+            out = follower.advance(following, now, dt)  # type: ignore[arg-type]
+        assert out is heard[-1], (seed, following)

@@ -61,7 +61,7 @@ def test_a_command_after_a_long_rest_is_as_fast_asleep_as_awake() -> None:
         assert out.asleep == sleeps
         forces.append([sim.step(pose((0, 0, 0.0519), FLAT)).device_wrench[2] for _ in range(30)])
     assert_allclose(forces[1], forces[0], atol=1e-4)
-    assert max(np.abs(forces[0])) > 0.5
+    assert max(np.abs(forces[0])) > 0.05
 
 
 def test_the_speed_of_one_jump_ends() -> None:
