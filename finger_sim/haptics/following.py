@@ -44,6 +44,8 @@ WINDOW_SLEW = 0.03
 """Of the window, in s/s. Less, as nothing smooths it: the bone goes by half of this slower or faster at once."""
 CATCHING_UP = 0.1
 """Time constant with which the path follows a jump of time [s]."""
+CLOCK_SET = 1.0
+"""From so large a jump on [s] it is no loop that skipped steps, but a clock that was set."""
 EXACT = 1e-6
 """Times nearer to each other than this are one [s]: a log has whole nanoseconds, simulated time none."""
 STALL, CAUGHT_UP = 2.5, 0.5
@@ -119,7 +121,7 @@ class Follower:
             return False
         offset = begin - now
         behind = self._offset - offset
-        if not EXACT < abs(behind) < PAUSE:  # nor is it the first time
+        if not EXACT < abs(behind) < CLOCK_SET:  # nor is it the first time
             self._offset, self._stalled = offset, False
             return False
         self._offset -= behind * min(1.0, dt / CATCHING_UP)

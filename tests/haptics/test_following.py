@@ -158,6 +158,18 @@ def test_skipped_steps_do_not_merge_commands(rate: float) -> None:
         assert path[-1] == pytest.approx(0.2 * (begins[-1] - follower.delay(following)), abs=2e-4)  # type: ignore[arg-type]
 
 
+@for_each("rate", [1000.0, 66.0])
+def test_a_loop_at_half_its_rate_goes_as_fast_as_the_hand(rate: float) -> None:
+    """Each step of 1 ms takes 2 ms: the bone makes twice the way in a step, evenly, some tenths of a second late."""
+    commands = [(r, pose((0.2 * r, 0, 0))) for r, _ in stream(rate, 0.0, 4.2)]
+    begins = np.arange(2000) * 2 * MS
+    path = positions(commands, "auto", 0.0, begins)[:, 0]
+    steps = np.diff(path)
+    assert steps.max() < 2.4 * 0.2 * MS
+    assert steps[1000:] == pytest.approx(np.full(999, 2.0 * 0.2 * MS), rel=0.02)
+    assert 0.2 * begins[-1] - path[-1] < 0.2 * 0.25
+
+
 def test_prediction_is_where_the_hand_is() -> None:
     """A hand at an even speed is predicted without delay, a stopped one not for longer than it took until now."""
     commands = [(r, pose((0.1 * r, 0, 0))) for r, _ in stream(50.0, 0.0, 1.0)]
@@ -284,7 +296,7 @@ def test_whatever_comes_the_bone_stays_between_the_commands_and_comes_to_rest() 
                 assert (out.position <= box.max(axis=0) + 1e-12).all()
             assert 0.0 <= follower.delay(following) < 1.0  # type: ignore[arg-type]
             assert len(follower._path._knots) < 3000
-        for _ in range(round(3.0 / dt) if following == "predict" else round(0.7 / dt)):
+        for _ in range(round(3.0 / dt) if following == "predict" else round(1.5 / dt)):
             now += dt
             out = follower.advance(following, now, dt)  # type: ignore[arg-type]
         assert out is heard[-1], (seed, following)
