@@ -73,7 +73,7 @@ class Prediction:
         age = time - newest
         speed: Sequence[float] = _NOTHING
         took = max(newest - first, SHORTEST * self._interval, dt)
-        if newest > first and age <= min(self._horizon, took):
+        if newest > first and age <= self._horizon:
             speed = _bounded([(b - a) / took for a, b in zip(there, here, strict=True)])
         at, rate = [], []
         way = math.dist(self._at, [x + w * (age - dt) for x, w in zip(here, speed, strict=True)])
