@@ -69,7 +69,7 @@ def test_live_follows_offline(tmp_path: Path, seconds: float, priority: int) -> 
     run(scene, bag, tmp_path / "again", Selection(mode="recorded"))
     for topic in ("/contact_wrench", "/device_wrench"):
         (when, live), (when_again, again) = wrenches(bag, topic), wrenches(tmp_path / "again", topic)
-        assert len(when_again) > 0.5 * seconds / scene.dt
+        assert len(when_again) > 300
         begin = np.searchsorted(when, when_again[0])
         np.testing.assert_array_equal(when[begin : begin + len(when_again)], when_again)
         np.testing.assert_array_equal(live[begin : begin + len(when_again)], again)
