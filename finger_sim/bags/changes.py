@@ -51,6 +51,8 @@ def changes_in(reader: BagReader) -> list[Change]:
     scene_keys = {name: spec for name, spec, _ in dotted(Scene) if spec.live}
     out = []
     for message in reader.messages(topics):
+        if not _tells_changes(message.topic, message.type):
+            continue
         scene: dict[str, Any] = {}
         options: dict[str, Any] = {}
         reset = message.type == cdr.EMPTY
@@ -95,11 +97,11 @@ def before_their_steps(reader: BagReader, commands: Iterator[Received], changes:
     A command may have waited for its step while a change was made: the wrenches recorded by then tell how many steps
     had been.
     """
-    names = [absolute(topic.name) for topic in reader.topics if topic.type == cdr.WRENCH_STAMPED]
+    names = {absolute(topic.name) for topic in reader.topics if topic.type == cdr.WRENCH_STAMPED}
     wrenches = [name for name in names if name.endswith("/contact_wrench")]
     if not changes or len(wrenches) != 1:
         return changes
-    steps = (message.log_time for message in reader.messages(wrenches))
+    steps = (message.log_time for message in reader.messages(wrenches, cdr.WRENCH_STAMPED))
     end = next(steps, None)
     command = next(commands, None)
     out = []

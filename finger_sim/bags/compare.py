@@ -1,5 +1,8 @@
 """How two bags differ, topic by topic: bit for bit, and by what their numbers are apart.
 
+A topic is a name with a type: where one name holds messages of two types, they are two topics. What cannot be compared
+is never equal.
+
 Bags that overlap in time are compared at the same log time; others count from their first command each (without
 one, from their first message). Each message of A is compared with B at its time, B being interpolated between its
 two messages around it; where both have the same times that is message by message. A topic with one message in each
@@ -8,19 +11,18 @@ bag, as the topology of a mesh, holds for the whole bag.
 
 from __future__ import annotations
 
-import hashlib
 import heapq
 import math
-from collections import deque
+from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from ..errors import BagError
 from . import cdr
-from .comparison import Comparison, Difference, LeftOut, TopicComparison
-from .lag import LagMeter
-from .quantities import KINDS, TURN, Kind, Value, apart_by, largest_of
-from .reader import BagReader, Message, Topic, absolute
+from .comparison import Comparison, LeftOut, TopicComparison
+from .quantities import KINDS
+from .reader import BagReader, Message, absolute
+from .topic_pair import TopicPair
 
 LIVE = {
     "diagnostic_msgs/msg/DiagnosticArray",
@@ -29,8 +31,8 @@ LIVE = {
     "visualization_msgs/msg/Marker",
 }
 """Types of what only a live node writes: of itself and its machine, and for those who look on."""
-TIMED = {cdr.WRENCH_STAMPED, cdr.POSE_STAMPED}
-"""Types whose lag is told."""
+Key = tuple[str, str]
+"""Absolute name and type."""
 
 
 def compare(
@@ -48,65 +50,92 @@ def compare(
                  only and holds no wrench, pose, cloud or mesh: `left_out` names these
     everything : compare them too
     tolerance  : None: every message must be the same bit by bit, in bytes, times and number. Else the largest
-                 difference in wrenches, poses, clouds and meshes, in their SI units, that still is equal; topics of
-                 other types do not count then
+                 difference in wrenches, poses, clouds and meshes, in their SI units, that still is equal; a message
+                 of another type must then have the bytes of one of the two of B around it
     overlap    : messages at times that only one of the bags holds do not count; needs a tolerance
-    Raises BagError for a bag that cannot be read, a topic that neither has, and an overlap without a tolerance.
+    Raises BagError for a bag that cannot be read, a topic that neither has, a tolerance that is negative or no number,
+    and an overlap without a tolerance.
     """
+    if tolerance is not None and not 0.0 <= tolerance < math.inf:
+        raise BagError(f"tolerance: got {tolerance}, allowed: a finite number >= 0")
     if overlap and tolerance is None:
         raise BagError("overlap: needs a tolerance: bags of different spans are not bit-identical")
     readers = BagReader(a), BagReader(b)
-    have: tuple[dict[str, Topic], ...] = tuple({absolute(t.name): t for t in reader.topics} for reader in readers)
-    names = list(dict.fromkeys([*have[0], *have[1]]))
-    left_out = [] if topics is not None or everything else list(_left_out(names, have))
+    have = _counts(readers[0]), _counts(readers[1])
+    keys = list(dict.fromkeys([*have[0], *have[1]]))
     if topics is not None:
+        names = list(dict.fromkeys(name for name, _ in keys))
         wanted = list(dict.fromkeys(absolute(topic) for topic in topics))
         for name in wanted:
             if name not in names:
                 raise BagError(f"{a}, {b}: no topic {name} in either; found {', '.join(names) or 'none'}")
-        names = wanted
+        keys = [key for name in wanted for key in keys if key[0] == name]
+    repeated = tolerance is not None and all(reader.origin for reader in readers)
+    left_out = [] if topics is not None or everything else list(_left_out(keys, have, repeated))
     zeros = _zeros(readers)
     overlapping = _overlap(readers, zeros)
     pairs = {}
     done = []
-    for name in (name for name in names if name not in {topic.name for topic in left_out}):
-        one, other = (topics_of.get(name) for topics_of in have)
-        known = one or other
-        assert known is not None
-        out = TopicComparison(name, known.type, (one.count if one else 0, other.count if other else 0))
+    for key in (key for key in keys if key not in {(topic.name, topic.type) for topic in left_out}):
+        out = TopicComparison(*key, (have[0].get(key, 0), have[1].get(key, 0)))
         done.append(out)
-        if one is None or other is None:
-            out.identical = out.equal = False
-            out.first = f"only in {'A' if other is None else 'B'}"
-        elif one.type != other.type:
-            out.identical = out.equal = False
-            out.first = f"{one.type} in A, {other.type} in B"
+        if all(key in topics_of for topics_of in have):
+            pairs[key] = TopicPair(out, (Path(a), Path(b)), tolerance, overlapping)
         else:
-            pairs[name] = _Pair(out, (Path(a), Path(b)), tolerance, overlapping)
+            out.identical = out.equal = False
+            out.first = _alone(key, have)
     for side, time, message in _merged(readers, pairs, zeros):
-        pairs[absolute(message.topic)].take(side, time, message)
+        pairs[absolute(message.topic), message.type].take(side, time, message)
     for pair in pairs.values():
         pair.finish(overlap)
     warnings = [reader.warning for reader in readers if reader.warning]
+    warnings += [text for pair in pairs.values() for text in pair.broken.values()]
     return Comparison(Path(a), Path(b), tolerance, done, warnings, left_out)
 
 
-def _left_out(names: Collection[str], have: tuple[dict[str, Topic], ...]) -> Iterator[LeftOut]:
-    """What does not count unless it is asked for."""
-    for name in names:
-        one, other = (topics.get(name) for topics in have)
-        known = one or other
-        assert known is not None
-        place = "only in A" if other is None else "only in B" if one is None else ""
-        if known.type in LIVE:
-            reason = "only a live node writes it"
-        elif place and known.count == 0:
+def _counts(reader: BagReader) -> Counter[Key]:
+    """Messages of each topic, none of a topic that is only announced."""
+    counts: Counter[Key] = Counter()
+    for topic in reader.topics:
+        counts[absolute(topic.name), topic.type] += topic.count
+    return counts
+
+
+def _left_out(keys: Collection[Key], have: tuple[Counter[Key], Counter[Key]], repeated: bool) -> Iterator[LeftOut]:
+    """What does not count unless it is asked for.
+
+    repeated : whether transforms only repeat what other topics of the bags tell
+    """
+    for key in keys:
+        one, other = (key in topics for topics in have)
+        count = have[0].get(key, 0), have[1].get(key, 0)
+        place = "" if one and other else "only in A" if one else "only in B"
+        if place and sum(count) == 0:
             reason = f"{place}, without a message"
-        elif place and known.type not in KINDS:
+        elif place and _types(key[0], have[1 if one else 0]):
+            continue  # of another type there, it is a difference
+        elif key[1] in LIVE:
+            reason = "only a live node writes it"
+        elif place and key[1] not in KINDS:
             reason = f"{place}, no wrench, pose, cloud or mesh"
+        elif repeated and key[1] == cdr.TF_MESSAGE:
+            reason = "repeats pose and plane_pose"
         else:
             continue
-        yield LeftOut(name, known.type, (one.count if one else 0, other.count if other else 0), reason)
+        yield LeftOut(*key, count, reason)
+
+
+def _types(name: str, topics: Collection[Key]) -> list[str]:
+    """Types of the messages under a name."""
+    return [kind for known, kind in topics if known == name]
+
+
+def _alone(key: Key, have: tuple[Counter[Key], Counter[Key]]) -> str:
+    """What to say of a topic that is in one bag only."""
+    name, kind = key
+    here, there = (0, 1) if key in have[0] else (1, 0)
+    others = ", ".join(other for other in _types(name, have[there]) if (name, other) not in have[here])
+    return f"{kind} in {'AB'[here]}, {others} in {'AB'[there]}" if others else f"only in {'AB'[here]}"
 
 
 def _zeros(readers: tuple[BagReader, BagReader]) -> tuple[int, int]:
@@ -125,12 +154,14 @@ def _overlap(readers: tuple[BagReader, BagReader], zeros: tuple[int, int]) -> in
 
 
 def _merged(
-    readers: tuple[BagReader, BagReader], topics: Collection[str], zeros: tuple[int, int]
+    readers: tuple[BagReader, BagReader], topics: Collection[Key], zeros: tuple[int, int]
 ) -> Iterator[tuple[int, int, Message]]:
     """Messages of A (0) and B (1) on one time [ns] since the start of A, A first where both have the same."""
 
     def stream(side: int) -> Iterator[tuple[int, int, Message]]:
-        return ((side, message.log_time - zeros[side], message) for message in readers[side].messages(topics))
+        for message in readers[side].messages({name for name, _ in topics}):
+            if (absolute(message.topic), message.type) in topics:
+                yield side, message.log_time - zeros[side], message
 
     return heapq.merge(stream(0), stream(1), key=lambda item: item[1])
 
@@ -143,164 +174,6 @@ def _apart(one: BagReader, other: BagReader) -> bool:
 
 
 def _first_command(reader: BagReader) -> int | None:
-    """Log time of the first message on a topic `command_pose` [ns], in any namespace."""
+    """Log time of the first pose on a topic `command_pose` [ns], in any namespace."""
     names = [topic.name for topic in reader.topics if absolute(topic.name).endswith("/command_pose")]
-    return next((message.log_time for message in reader.messages(names)), None)
-
-
-class _Moment:
-    """A message at a time, its numbers decoded when they are first asked for."""
-
-    def __init__(self, path: Path, time: int, number: int, message: Message) -> None:
-        self.path, self.time, self.number, self.message = path, time, number, message
-        self._value: Value | None = None
-
-    def value(self, kind: Kind) -> Value:
-        """Its numbers. Raises BagError when its bytes are not what its type says."""
-        if self._value is None:
-            where = f"{self.path}: topic {self.message.topic}, message {self.number}"
-            try:
-                self._value = kind.value(cdr.deserialize(self.message.data, self.message.type))
-            except (BagError, ValueError) as error:
-                raise BagError(f"{where}: {error}") from None
-        return self._value
-
-
-class _Pair:
-    """One topic of both bags while its messages come in, in the order of time."""
-
-    def __init__(self, out: TopicComparison, paths: tuple[Path, Path], tolerance: float | None, overlap: int) -> None:
-        self.out, self.tolerance = out, tolerance
-        self._single = out.messages == (1, 1)
-        self._meter = LagMeter(overlap) if out.type in TIMED else None
-        self._paths = paths
-        self._kind = KINDS.get(out.type)
-        out.differences = [Difference(*quantity) for quantity in self._kind.quantities] if self._kind else []
-        self._squares = [0.0] * len(out.differences)
-        self._rows = [0] * len(out.differences)
-        self._unpaired: tuple[deque[_Moment], deque[_Moment]] = (deque(), deque())
-        self._waiting: deque[_Moment] = deque()
-        self._before: _Moment | None = None
-        self._last_a: int | None = None
-        self._numbers = [0, 0]
-        self._before_a = self._since_a = self._before_b = self._after_b = 0
-
-    def take(self, side: int, time: int, message: Message) -> None:
-        """The next message of A (0) or B (1)."""
-        self._numbers[side] += 1
-        moment = _Moment(self._paths[side], time, self._numbers[side], message)
-        if self.out.identical:
-            digest = hashlib.blake2b(message.data, digest_size=16).digest()  # one bag may be far ahead of the other
-            self._unpaired[side].append(_Moment(moment.path, time, moment.number, message._replace(data=digest)))
-            if self._unpaired[1 - side]:
-                self._match(*(queue.popleft() for queue in self._unpaired))
-        if self._meter is not None and self._kind is not None:
-            self._meter.take(side, time, moment.value(self._kind).parts[0][0])
-        if self._single:
-            self._take_single(side, moment)
-        elif side == 0:
-            self._last_a, self._since_a = time, 0
-            self._take_a(moment)
-        else:
-            self._before_a += self._last_a is None
-            self._since_a += self._last_a is not None and time > self._last_a
-            self._take_b(moment)
-
-    def finish(self, overlap: bool) -> None:
-        """All messages are in: the verdict."""
-        out = self.out
-        for side, queue in enumerate(self._unpaired):
-            if queue:
-                self._differs(queue[0], f"only in {'AB'[side]}")
-        for i, difference in enumerate(out.differences):
-            difference.rms = math.sqrt(self._squares[i] / self._rows[i]) if self._rows[i] else 0.0
-        out.before, out.after = (self._before_b, self._before_a), (self._after_b + len(self._waiting), self._since_a)
-        outside = out.before[0] + out.after[0], out.before[1] + out.after[1]
-        out.outside = outside if out.compared else out.messages
-        if self._meter is not None and all(math.isfinite(difference.max) for difference in out.differences):
-            out.lag = self._meter.lag()
-        if self.tolerance is None:
-            out.equal = out.identical
-        elif self._kind is not None:
-            out.equal = out.first is None
-            if sum(out.outside) and (not overlap or not out.compared):
-                out.equal = False
-                out.first = out.first or f"{out.outside[0]} messages of A and {out.outside[1]} of B have no counterpart"
-
-    def _match(self, a: _Moment, b: _Moment) -> None:
-        """The k-th messages of both: are they the same?"""
-        for what in ("data", "log_time", "publish_time", "sequence"):
-            if getattr(a.message, what) != getattr(b.message, what):
-                self._differs(a, _WORDS[what])
-                return
-
-    def _differs(self, moment: _Moment, what: str) -> None:
-        """The bags are not bit-identical from here on."""
-        self.out.identical = False
-        if self.tolerance is None:
-            self.out.first = _when(moment, what)
-        for queue in self._unpaired:
-            queue.clear()
-
-    def _take_single(self, side: int, moment: _Moment) -> None:
-        """The only message of a bag: at whatever time, it is compared with the only one of the other."""
-        self._waiting.append(moment)
-        if len(self._waiting) == 2:
-            other = self._waiting.popleft()
-            a, b = (moment, other) if side == 0 else (other, moment)
-            self._waiting.clear()
-            self._compare(a, b, b, 0.0)
-
-    def _take_a(self, moment: _Moment) -> None:
-        """Has it wait for B, where B may still come to its time; of those before B only the newest can have it."""
-        before, waiting = self._before, self._waiting
-        if before is not None and self._numbers[1] == self.out.messages[1] and moment.time > before.time:
-            self._after_b += 1
-            return
-        while before is None and waiting and waiting[0].time < moment.time:
-            waiting.popleft()
-            self._before_b += 1
-        waiting.append(moment)
-
-    def _take_b(self, after: _Moment) -> None:
-        """Compares what of A waits for B up to the time of `after`; of equal times one with one."""
-        before = self._before
-        while self._waiting and self._waiting[0].time < after.time:
-            a = self._waiting.popleft()
-            if before is None:
-                self._before_b += 1
-            else:
-                self._compare(a, before, after, (a.time - before.time) / (after.time - before.time))
-        if self._waiting and self._waiting[0].time == after.time:
-            self._compare(self._waiting.popleft(), after, after, 0.0)
-        self._before = after
-
-    def _compare(self, a: _Moment, before: _Moment, after: _Moment, share: float) -> None:
-        self.out.compared += 1
-        kind = self._kind
-        if kind is None:
-            return
-        one = a.value(kind)
-        same = share == 0.0 and a.message.data == before.message.data
-        low = one if same else before.value(kind)
-        high = after.value(kind) if share > 0.0 else low
-        for i, difference in enumerate(self.out.differences):
-            turn = kind.quantities[i] == TURN
-            difference.peak = max(difference.peak, largest_of(one.parts[i], turn))
-            self._rows[i] += len(one.parts[i])
-            if same:
-                continue
-            apart = apart_by(one, low, high, share, i, turn)
-            largest = float(apart.max(initial=0.0))
-            self._squares[i] += float(apart @ apart)
-            if largest > difference.max:
-                difference.max, difference.max_time = largest, 1e-9 * a.time
-            if self.tolerance is not None and largest > self.tolerance and self.out.first is None:
-                self.out.first = _when(a, f"{difference.quantity} by {largest:.3g} {difference.unit}")
-
-
-_WORDS = {"data": "bytes", "log_time": "log time", "publish_time": "publish time", "sequence": "number"}
-
-
-def _when(moment: _Moment, what: str) -> str:
-    return f"{what} at {1e-9 * moment.time:.6f} s (message {moment.number})"
+    return next((message.log_time for message in reader.messages(names, cdr.POSE_STAMPED)), None)

@@ -29,7 +29,7 @@ class Difference:
 
 @dataclass
 class TopicComparison:
-    """What is different on one topic."""
+    """What is different on one topic, which is a name with a type."""
 
     name: str
     type: str
@@ -80,6 +80,11 @@ class Comparison:
     def equal(self) -> bool:
         """Whether all topics are equal: bit by bit, or within the tolerance. Of bags with nothing to compare, no."""
         return all(topic.equal for topic in self.topics) and bool(self.topics or not self.left_out)
+
+    def label(self, topic: TopicComparison | LeftOut) -> str:
+        """The topic's name, with its type where the name stands for several topics."""
+        names = [other.name for other in self.topics] + [other.name for other in self.left_out]
+        return f"{topic.name} ({topic.type})" if names.count(topic.name) > 1 else topic.name
 
     def as_plain(self) -> dict[str, Any]:
         """All of it for JSON; what is not finite is null."""

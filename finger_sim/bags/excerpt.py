@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from ..errors import BagError
 from ..scene import Pose
+from .cdr import POSE_STAMPED
 from .reader import LONGEST_SPAN_SECONDS, BagReader, Message, command_topic, plane_topic, pose_row
 
 
@@ -62,10 +63,10 @@ class Excerpt:
         return replace(self, begin=begin, end=end, held=held)
 
     def messages(self) -> Iterator[Message]:
-        """All messages as they were recorded, refused ones too, in the order of their receipt."""
+        """All its poses as they were recorded, refused ones too, in the order of their receipt."""
         if self.held is not None:
             yield self.held
-        for message in self.reader.messages([self.topic]):
+        for message in self.reader.messages([self.topic], POSE_STAMPED):
             if self.end is not None and message.log_time > self.end:
                 return
             if self.begin is None or message.log_time > self.begin:
@@ -125,9 +126,8 @@ def commands_in(reader: BagReader, topic: str | None = None) -> tuple[Excerpt, T
     Raises BagError as `read_commands` does.
     """
     chosen = command_topic(reader, topic)
-    frames = Counter(
-        pose_row(reader, message, number).frame_id for number, message in enumerate(reader.messages([chosen]), start=1)
-    )
+    messages = reader.messages([chosen], POSE_STAMPED)
+    frames = Counter(pose_row(reader, message, number).frame_id for number, message in enumerate(messages, start=1))
     if not frames:
         raise BagError(f"{reader.path}: topic {chosen} has no message")
     commands = Excerpt(reader, chosen, frames.most_common(1)[0][0])

@@ -110,11 +110,14 @@ class BagReader:
         """Messages on all topics."""
         return sum(topic.count for topic in self.topics)
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Messages in the order of log time (equal times: as in the file), of all topics or those named."""
+    def messages(self, topics: Collection[str] | None = None, type: str | None = None) -> Iterator[Message]:
+        """Messages in the order of log time (equal times: as in the file), of all topics or those named.
+
+        type : only messages of that type: one name may hold several
+        """
         wanted = None if topics is None else {absolute(topic) for topic in topics}
         for message in self._source.messages():
-            if wanted is None or absolute(message.topic) in wanted:
+            if (wanted is None or absolute(message.topic) in wanted) and type in (None, message.type):
                 yield message
 
     def __iter__(self) -> Iterator[Message]:
@@ -270,8 +273,9 @@ def pose_row(reader: BagReader, message: Message, number: int) -> PoseRow:
 
 
 def _read_poses(reader: BagReader, topic: str) -> list[PoseRow]:
-    """All messages of a topic; BagError for one that is no pose."""
-    return [pose_row(reader, message, number) for number, message in enumerate(reader.messages([topic]), start=1)]
+    """All poses of a topic, without messages of other types; BagError for one that is no pose."""
+    messages = reader.messages([topic], cdr.POSE_STAMPED)
+    return [pose_row(reader, message, number) for number, message in enumerate(messages, start=1)]
 
 
 def _good_ones(rows: Sequence[PoseRow], frame_id: str) -> tuple[list[PoseRow], list[str]]:
@@ -312,8 +316,8 @@ def plane_topic(reader: BagReader, commands: str, topic: str | None) -> str | No
         if name == commands:
             raise BagError(f"{reader.path}: topic {name} cannot hold both the commands and the plane's poses")
         return name
-    counts = {absolute(topic.name): topic.count for topic in reader.topics}
-    candidates = [name for name in _pose_topics(reader) if name.endswith("/plane_pose") and counts[name] > 0]
+    held = {absolute(topic.name) for topic in reader.topics if topic.type == cdr.POSE_STAMPED and topic.count > 0}
+    candidates = [name for name in _pose_topics(reader) if name.endswith("/plane_pose") and name in held]
     candidates = [name for name in candidates if name != commands]
     beside = f"{commands.rpartition('/')[0]}/plane_pose"
     if beside in candidates:
@@ -326,16 +330,17 @@ def plane_topic(reader: BagReader, commands: str, topic: str | None) -> str | No
 
 def _named_topic(reader: BagReader, topic: str) -> str:
     """The absolute name of a topic of poses that was asked for."""
-    name, types = absolute(topic), {absolute(t.name): t.type for t in reader.topics}
-    if name not in types:
+    name = absolute(topic)
+    types = [t.type for t in reader.topics if absolute(t.name) == name]
+    if not types:
         raise BagError(f"{reader.path}: no topic {name}; found {_found(reader)}")
-    if types[name] != cdr.POSE_STAMPED:
-        raise BagError(f"{reader.path}: topic {name} is {types[name]}, allowed: {cdr.POSE_STAMPED}")
+    if cdr.POSE_STAMPED not in types:
+        raise BagError(f"{reader.path}: topic {name} is {', '.join(types)}, allowed: {cdr.POSE_STAMPED}")
     return name
 
 
 def _pose_topics(reader: BagReader) -> list[str]:
-    return [absolute(topic.name) for topic in reader.topics if topic.type == cdr.POSE_STAMPED]
+    return list(dict.fromkeys(absolute(topic.name) for topic in reader.topics if topic.type == cdr.POSE_STAMPED))
 
 
 def _found(reader: BagReader) -> str:

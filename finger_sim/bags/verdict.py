@@ -15,13 +15,13 @@ def verdict(found: Comparison) -> list[Table | str]:
         "first difference",
     )  # fmt: skip
     for topic in found.topics:
-        head = (topic.name, *map(str, topic.messages), str(topic.compared), "yes" if topic.identical else "no")
+        head = (found.label(topic), *map(str, topic.messages), str(topic.compared), "yes" if topic.identical else "no")
         first = topic.first or ""
         shown = [_numbers(difference) for difference in topic.differences] if topic.compared else []
         for numbers in shown or [("",) * 5]:
             rows.add_row(*head, *numbers, first)
             head, first = ("",) * 5, ""
-    lags = [text for topic in found.topics for text in _lag(topic)]
+    lags = [text for topic in found.topics for text in _lag(topic, found.label(topic))]
     return [rows, *_counts(found), *lags, *_left_out(found), _judgement(found)]
 
 
@@ -30,7 +30,7 @@ def _counts(found: Comparison) -> list[str]:
     names: dict[str, list[str]] = {}
     for topic in found.topics:
         if topic.compared and sum(topic.outside):
-            names.setdefault(_count(topic), []).append(topic.name)
+            names.setdefault(_count(topic), []).append(found.label(topic))
     return [f"{', '.join(of_text)}: {text}" for text, of_text in names.items()]
 
 
@@ -44,7 +44,7 @@ def _count(topic: TopicComparison) -> str:
     return f"compared {topic.compared:,} of {topic.messages[0]:,} messages: {', '.join(reasons)}"
 
 
-def _lag(topic: TopicComparison) -> list[str]:
+def _lag(topic: TopicComparison, label: str) -> list[str]:
     """How B lies in time, where the two are not the same."""
     lag = topic.lag
     if lag is None or lag.rms == 0.0:
@@ -53,7 +53,7 @@ def _lag(topic: TopicComparison) -> list[str]:
     unit = "" if quantity.unit == "1" else f" {quantity.unit}"
     size = f"{1e3 * abs(lag.seconds):.2f} ms{' or more' if lag.beyond else ''}"
     return [
-        f"{topic.name}: B lies {size} {'before' if lag.seconds < 0.0 else 'after'} A; with that lag taken out, "
+        f"{label}: B lies {size} {'before' if lag.seconds < 0.0 else 'after'} A; with that lag taken out, "
         f"{quantity.quantity} differs by {lag.rest:.3g}{unit} (rms) instead of {lag.rms:.3g}{unit}"
     ]
 
@@ -64,7 +64,7 @@ def _left_out(found: Comparison) -> list[str]:
         return []
     names: dict[str, list[str]] = {}
     for topic in found.left_out:
-        names.setdefault(topic.reason, []).append(topic.name)
+        names.setdefault(topic.reason, []).append(found.label(topic))
     texts = [f"{', '.join(of_reason)} ({reason})" for reason, of_reason in names.items()]
     return [f"left out: {'; '.join(texts)}; --all compares them too"]
 
@@ -76,7 +76,7 @@ def _judgement(found: Comparison) -> str:
     if not found.topics:
         return "not equal: nothing was compared"
     different = [topic for topic in found.topics if not topic.equal]
-    text = f"not equal {how}: {', '.join(topic.name for topic in different)}"
+    text = f"not equal {how}: {', '.join(found.label(topic) for topic in different)}"
     if found.tolerance is None and any(sum(topic.outside) for topic in different):
         text += "; --tolerance X --overlap tells whether what they measure is within X"
     return text

@@ -162,7 +162,7 @@ def add_compare(verbs: Any) -> None:
         type=from_zero,
         metavar="X",
         help="largest difference of wrenches, poses, clouds and meshes that is equal, in N, N·m, m, rad; "
-        "other topics do not count then (default: all the same, bit by bit)",
+        "messages of other types must have the same bytes (default: all the same, bit by bit)",
     )
     add("--overlap", action="store_true", help="with --tolerance: count only times that both bags hold")
     add("--json", action="store_true", help="JSON instead of a table")

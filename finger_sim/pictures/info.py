@@ -60,12 +60,12 @@ def _bag(path: Path) -> Iterator[tuple[str, Table]]:
         "numbers missing": str(sum(topic.lost for topic in reader.topics)),
     }
     yield f"bag {path}", _pairs(facts | _origin(reader))
-    times: dict[str, list[int]] = {topic.name: [] for topic in reader.topics}
+    times: dict[tuple[str, str], list[int]] = {(topic.name, topic.type): [] for topic in reader.topics}
     for message in reader:
-        times[message.topic].append(message.log_time)
+        times[message.topic, message.type].append(message.log_time)
     topics = table("topic", "type", "messages", "rate [Hz]", "longest gap [s]", "lost")
     for topic in reader.topics:
-        intervals = np.diff(np.array(times[topic.name])) * 1e-9
+        intervals = np.diff(np.array(times[topic.name, topic.type])) * 1e-9
         usual = float(np.median(intervals)) if len(intervals) else 0.0
         topics.add_row(
             topic.name,

@@ -216,4 +216,4 @@ def _of_type(reader: BagReader, kind: str, name: str = "") -> Iterator[Message]:
     topics = [t.name for t in reader.topics if t.type == kind and t.name.endswith(name) and t.count]
     if not topics:
         raise BagError(f"{reader.path}: no {name or kind} was recorded")
-    return reader.messages([topics[0]])
+    return reader.messages([topics[0]], kind)

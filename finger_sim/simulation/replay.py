@@ -205,7 +205,7 @@ class Replay:
     def _recorded_steps(self) -> Iterator[int]:
         """When the node began its steps, from the first that followed a command on [ns since the start]."""
         last = self.commands.end if self.commands.end is not None else math.inf
-        for message in self.reader.messages([self._steps_topic]):
+        for message in self.reader.messages([self._steps_topic], cdr.WRENCH_STAMPED):
             if self.start <= message.log_time <= last:
                 yield message.log_time - self.start
 

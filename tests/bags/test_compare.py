@@ -11,15 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 from finger_sim.bags import cdr
 from finger_sim.bags.compare import compare
 from finger_sim.bags.comparison import TopicComparison
 from finger_sim.bags.layout import POINT_DTYPE
-from finger_sim.bags.reader import BagWriter
+from finger_sim.bags.reader import BagWriter, read_commands
 from finger_sim.bags.verdict import verdict
 from finger_sim.cli import main
 from finger_sim.errors import BagError
+from finger_sim.pictures.info import info
 
 START = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -308,14 +310,98 @@ def test_of_what_stands_still_no_lag_is_told(tmp_path: Path) -> None:
     assert (far.seconds, far.beyond) == (pytest.approx(0.1), True)
 
 
-def test_broken_messages_are_named(tmp_path: Path) -> None:
-    """Bag, topic and message."""
-    a = wrenches(tmp_path / "a", n=1)
-    with BagWriter(tmp_path / "b") as bag:
-        bag.add_topic("contact_wrench", cdr.WRENCH_STAMPED)
-        bag.write("contact_wrench", b"\x00\x01\x00\x00abc", START)
-    with pytest.raises(BagError, match=r"/b: topic /contact_wrench, message 1: "):
-        compare(a, tmp_path / "b")
+def test_a_message_that_cannot_be_read_is_never_equal(tmp_path: Path) -> None:
+    """It is named by bag, topic and number; a copy of it is the same bit by bit all the same."""
+    a = wrenches(tmp_path / "a", lambda _: 0.0, n=5)
+    for name in ("b", "copy"):
+        with BagWriter(tmp_path / name) as bag:
+            bag.add_topic("contact_wrench", cdr.WRENCH_STAMPED)
+            for k in range(5):
+                data = cdr.wrench_stamped(START + k * MS, "finger", (0.0, 0.0, 0.0, 0.5, 0.0, 0.0))
+                bag.write("contact_wrench", data[:50] if k == 2 else data, START + k * MS)
+    for tolerance, first in (
+        (None, "bytes at 0.002000 s (message 3)"),
+        (1e9, "cannot be read at 0.002000 s (message 3)"),
+    ):
+        for pair in ((a, tmp_path / "b"), (tmp_path / "b", a)):
+            found = compare(*pair, tolerance=tolerance)
+            assert (found.equal, found.topics[0].first) == (False, first)
+            assert found.warnings[0].startswith(f"{tmp_path / 'b'}: topic /contact_wrench, message 3: ")
+    assert compare(tmp_path / "b", tmp_path / "copy").equal
+
+
+POSE = "geometry_msgs/msg/Pose"
+
+
+def channels(path: Path, *kept: tuple[str, str, list[bytes]]) -> Path:
+    """A bare file with a channel for each name, type and its messages, 1 ms apart."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        for name, kind, data in kept:
+            schema = writer.register_schema(kind, "ros2msg", b"")
+            channel = writer.register_channel(name, "cdr", schema, {})
+            for k, each in enumerate(data):
+                writer.add_message(channel, START + k * MS, each, START + k * MS)
+        writer.finish()
+    return path
+
+
+def stamped(z: float, n: int = 60) -> list[bytes]:
+    return [cdr.pose_stamped(START + k * MS, "world", (0.0, 0.0, z), LEVEL) for k in range(n)]
+
+
+def pose(z: float) -> bytes:
+    """A Pose without a stamp."""
+    return b"\x00\x01\x00\x00" + np.array([0.0, 0.0, z, *LEVEL]).tobytes()
+
+
+def test_one_name_with_two_types_is_two_topics(tmp_path: Path) -> None:
+    """Whichever type comes last, and with or without the slash: what is a metre apart is so, what is not is not."""
+    extra = ("/command_pose", POSE, [pose(0.0)])
+    for order in (1, -1):
+        a = channels(tmp_path / "a.mcap", *[("/command_pose", cdr.POSE_STAMPED, stamped(0.0)), extra][::order])
+        b = channels(tmp_path / "b.mcap", *[("command_pose", cdr.POSE_STAMPED, stamped(1.0)), extra][::order])
+        found = compare(a, b, tolerance=1e-9)
+        assert not found.equal
+        assert {topic.type: (topic.equal, topic.messages) for topic in found.topics} == {
+            cdr.POSE_STAMPED: (False, (60, 60)),
+            POSE: (True, (1, 1)),
+        }
+        assert verdict(found)[-1] == f"not equal within 1e-09: /command_pose ({cdr.POSE_STAMPED})"
+        assert compare(a, b, tolerance=1.0).equal
+        assert read_commands(a, "command_pose").position.shape == (60, 3)
+        rows = [column for title, table in info(str(a)) if title == "topics" for column in table.columns]
+        rates = dict(zip(rows[1].cells, rows[3].cells, strict=True))
+        assert rates == {cdr.POSE_STAMPED: "1000", POSE: "–"}
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "first"),
+    [
+        ((POSE, [pose(0.0)]), (POSE, [pose(1.0)]), "bytes at 0.000000 s (message 1)"),
+        ((POSE, [pose(0.0)] * 3), (POSE, [pose(0.0)] * 4), "0 messages of A and 1 of B have no counterpart"),
+        ((POSE, [pose(0.0)]), ("std_msgs/msg/Empty", [b"\0\1\0\0\0"]), f"{POSE} in A, std_msgs/msg/Empty in B"),
+    ],
+)
+def test_what_has_no_numbers_or_another_type_is_never_within_a_tolerance(
+    tmp_path: Path, ours: tuple[str, list[bytes]], theirs: tuple[str, list[bytes]], first: str
+) -> None:
+    """A type whose numbers are not known, other counts of it, and types that no bag shares."""
+    same = ("/contact_wrench", cdr.WRENCH_STAMPED, [cdr.wrench_stamped(START, "finger", (0.0,) * 6)])
+    a, b = (channels(tmp_path / name, same, ("/hand", *kept)) for name, kept in (("a", ours), ("b", theirs)))
+    found = compare(a, b, tolerance=1e9)
+    assert {topic.first for topic in found.topics if not topic.equal and topic.type == ours[0]} == {first}
+    assert main(["compare", str(a), str(b), "--tolerance", "1e9"]) == 1
+    assert compare(a, a, tolerance=0.0).equal
+
+
+def test_a_tolerance_that_is_no_number_is_a_mistake(tmp_path: Path) -> None:
+    """Nothing is larger than NaN."""
+    a, b = wrenches(tmp_path / "a", n=3), wrenches(tmp_path / "b", lambda t: t + 1.0, n=3)
+    for tolerance in (math.nan, math.inf, -1.0):
+        with pytest.raises(BagError, match=f"tolerance: got {tolerance}, allowed: a finite number >= 0"):
+            compare(a, b, tolerance=tolerance)
 
 
 def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -34,7 +34,9 @@ class Bag(Protocol):
     warning: str | None
     """What was wrong with it, if it was cut off."""
 
-    def arrivals(self, topics: Collection[str]) -> Iterator[Arrival]: ...
+    def arrivals(self, topics: Collection[Topic]) -> Iterator[Arrival]:
+        """Messages of these topics, each by its name and type."""
+        ...
 
 
 def open_bag(path: Path) -> Bag:
@@ -59,10 +61,13 @@ class Ros2Bag:
         self.warning = self._reader.warning
         self.topics = tuple(Topic(absolute(topic.name), topic.type, topic.count) for topic in self._reader.topics)
 
-    def arrivals(self, topics: Collection[str]) -> Iterator[Arrival]:
+    def arrivals(self, topics: Collection[Topic]) -> Iterator[Arrival]:
         numbers: Counter[str] = Counter()
-        for message in self._reader.messages(topics):
+        wanted = {(topic.name, topic.type) for topic in topics}
+        for message in self._reader.messages([topic.name for topic in topics]):
             name = absolute(message.topic)
+            if (name, message.type) not in wanted:
+                continue
             numbers[name] += 1
             try:
                 decoded = cdr.deserialize(message.data, message.type)
@@ -84,10 +89,11 @@ class Ros1Bag:
                 counts[absolute(connection.topic), connection.msgtype] += connection.msgcount
         self.topics = tuple(Topic(name, type, count) for (name, type), count in counts.items())
 
-    def arrivals(self, topics: Collection[str]) -> Iterator[Arrival]:
+    def arrivals(self, topics: Collection[Topic]) -> Iterator[Arrival]:
         numbers: Counter[str] = Counter()
+        chosen = {(topic.name, topic.type) for topic in topics}
         with _reading(self.path) as reader:
-            wanted = [each for each in reader.connections if absolute(each.topic) in topics]
+            wanted = [each for each in reader.connections if (absolute(each.topic), each.msgtype) in chosen]
             store = _types_of(wanted)
             for connection, time, data in reader.messages(connections=wanted) if wanted else ():
                 name = absolute(connection.topic)

@@ -98,7 +98,7 @@ def _collect(bag: Bag) -> tuple[dict[Pair, list[Sample]], dict[Pair, Sample]]:
     """Transforms by pairs of frames: those that come again, and the newest of each static one."""
     moving: defaultdict[Pair, list[Sample]] = defaultdict(list)
     still: dict[Pair, Sample] = {}
-    topics = [each.name for each in bag.topics if each.type in (*TRANSFORMS, TRANSFORM)]
+    topics = [each for each in bag.topics if each.type in (*TRANSFORMS, TRANSFORM)]
     for arrival in bag.arrivals(topics):
         several = getattr(arrival.message, "transforms", [arrival.message])
         for each in (sample(arrival.number, arrival.log_time, transform) for transform in several):

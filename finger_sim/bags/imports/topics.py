@@ -38,7 +38,8 @@ def _chosen(bag: Bag, topic: str | None) -> Topic:
     """The topic that was asked for, or the only one with poses."""
     cut = f"; {bag.warning}" if bag.warning else ""
     if topic is not None:
-        found = next((each for each in bag.topics if each.name == absolute(topic)), None)
+        named = [each for each in bag.topics if each.name == absolute(topic)]
+        found = next((each for each in named if each.type in POSES), named[0] if named else None)
         if found is None:
             raise BagError(f"{bag.path}: no topic {absolute(topic)}; found {listed(bag.topics)}{cut}")
         if found.type in TRANSFORMS:
@@ -73,7 +74,7 @@ def _why(topic: Topic) -> str:
 
 def _read_topic(bag: Bag, topic: Topic, clock: Clock | None) -> Recorded:
     """All good poses of a topic in its frame; the others are left out and counted."""
-    samples = [sample(each.number, each.log_time, each.message) for each in bag.arrivals([topic.name])]
+    samples = [sample(each.number, each.log_time, each.message) for each in bag.arrivals([topic])]
     if not samples:
         raise BagError(f"{bag.path}: topic {topic.name} has no message")
     where = f"{bag.path}: topic {topic.name}"
