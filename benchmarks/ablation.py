@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -20,6 +21,7 @@ from finger_sim import Scene
 from finger_sim.console import gauge
 from finger_sim.physics.work import WORK
 from finger_sim.pictures.surfaces import new_figure, save
+from finger_sim.plain import printing
 from finger_sim.studies.bench import passes
 from finger_sim.studies.bench.scenes import PHASES, Ours, press_and_slide, touch_height
 from finger_sim.studies.shared import pinned
@@ -168,4 +170,4 @@ def draw(medians: dict[str, np.ndarray], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("ablation", main))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 
 import numpy as np
 
 from finger_sim import Pose, Scene, Simulator
+from finger_sim.plain import printing
 from finger_sim.studies.shared import poses
 
 CONVERGED = {"solver.tolerance": 1e-6, "solver.max_iterations": 5_000}
@@ -47,4 +49,4 @@ def forces(scene: Scene, commands: list[Pose]) -> tuple[np.ndarray, float, float
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("accuracy", main))

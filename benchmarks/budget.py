@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
+import sys
 import time
 from collections import Counter
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from finger_sim import Pose, Scene, Simulator
 from finger_sim.haptics.budget import Budget, ladder
+from finger_sim.plain import printing
 from finger_sim.ros.loop import RateLoop
 from finger_sim.studies.shared import poses
 from finger_sim.studies.tradeoff.rungs import costs
@@ -106,4 +108,4 @@ def spin() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("budget", main))

@@ -19,6 +19,8 @@ from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from finger_sim.plain import printing
+
 EXECUTORS = {"events": EventsExecutor, "single": SingleThreadedExecutor, "multi": MultiThreadedExecutor}
 STAMP = slice(4, 12)
 """Of a message that begins with a header, in its CDR bytes."""
@@ -56,4 +58,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("echo_node", main))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import signal
 import statistics
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 from node_process import running_node
 
 from finger_sim.bags.reader import BagReader
+from finger_sim.plain import printing
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -53,4 +55,4 @@ def ending(parameters: dict[str, str], changes: dict[str, str], said: str, numbe
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("exit_time", main))

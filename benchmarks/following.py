@@ -8,12 +8,14 @@ way. The worse of both counts. Beside it the same path with a command for every 
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
 
 from finger_sim import Pose, Scene, Simulator
 from finger_sim.physics.rotations import matrix
+from finger_sim.plain import printing
 
 RATES = (20.0, 30.0, 66.0, 125.0, 250.0, 500.0, 1000.0)
 JITTERS = (0.0, 0.2, 0.5)
@@ -167,4 +169,4 @@ def draw(study: Study, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("following", main))

@@ -6,10 +6,12 @@ The paper's 4 % beams under gravity, and `finger_coupled`, pressed down in 0.2 s
 from __future__ import annotations
 
 import argparse
+import sys
 
 import numpy as np
 
 from finger_sim import Pose, Scene, Simulator
+from finger_sim.plain import printing
 
 SWING, REST = 1.5, 12.0  # simulated time of each run [s]
 LAST = 0.3  # of the run to rest that is looked at [s]
@@ -82,4 +84,4 @@ def follow(scene: Scene, duration: float) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("held_limits", main))

@@ -32,6 +32,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from finger_sim import Scene
+from finger_sim.plain import printing
 from finger_sim.studies.bench.scenes import FLAT, touch_height
 
 DEPTH, STROKE = 1e-3, 2e-3
@@ -263,4 +264,4 @@ class Driver:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("latency", main))

@@ -13,6 +13,8 @@ from pathlib import Path
 
 from node_process import cpu_seconds, environment, running_node
 
+from finger_sim.plain import printing
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
@@ -50,4 +52,4 @@ def resident(pid: int) -> int:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("node_memory", main))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
 
 from finger_sim import Pose, Scene, Simulator
 from finger_sim.physics.rotations import matrix
+from finger_sim.plain import printing
 
 DEPTHS = np.arange(0.25, 2.51, 0.25) * 1e-3
 SPEED = 0.02
@@ -87,4 +89,4 @@ def draw(curves: dict[float, np.ndarray], without: np.ndarray, scene: Scene, out
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("press_curve", main))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import yaml
 
 from finger_sim import Scene
+from finger_sim.plain import printing
 from finger_sim.ros.demo import PRIORITY, RATE, SCENE, Outcome, bare_loop, run_demo
 
 SECONDS = 7.0
@@ -62,4 +64,4 @@ def line(values: tuple[float, ...] | np.ndarray) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("real_time", main))

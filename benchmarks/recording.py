@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import os
+import sys
 import tempfile
 import threading
 import time
@@ -19,6 +20,7 @@ import numpy as np
 from node_process import DOMAIN, bag_process, cpu_seconds, environment, running_node
 
 from finger_sim.bags.reader import BagReader, Commands, read_commands
+from finger_sim.plain import printing
 from finger_sim.scene.resources import find_bag
 
 RATE = 1000.0
@@ -208,4 +210,4 @@ def report(slices: list[Slice]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("recording", main))

@@ -24,6 +24,8 @@ from typing import Any
 from node_memory import resident
 from node_process import environment, running_node
 
+from finger_sim.plain import printing
+
 READER = """
 import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -219,4 +221,4 @@ def sample(pid: int, load: Load, begin: float, sizes: list[int], warm_up: float)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("soak", main))

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 import statistics
+import sys
 import tempfile
 
 from node_process import running_node
+
+from finger_sim.plain import printing
 
 
 def main() -> None:
@@ -28,4 +31,4 @@ def ready(scene: str, changes: dict[str, str]) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("startup", main))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 
 import numpy as np
 
 from finger_sim import Scene, Simulator, Status
+from finger_sim.plain import printing
 from finger_sim.studies.shared import poses
 
 BANDS = [(0, 0), (1, 39), (40, 99), (100, 199), (200, 10**9)]
@@ -62,4 +64,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("step_time", main))

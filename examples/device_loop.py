@@ -18,6 +18,8 @@ from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from finger_sim.plain import printing
+
 RATE, SILENCE = 1000.0, 0.05
 """Poses a second [Hz]; a force older than this is no longer rendered [s]."""
 
@@ -77,4 +79,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("device_loop", main))

@@ -7,6 +7,7 @@ what the simulator gives.
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from finger_sim import Pose, Scene, Simulator, StepResult
 from finger_sim.bags.layout import WRENCH_FRAMES, express_wrench
 from finger_sim.physics.rotations import matrix
 from finger_sim.pictures.surfaces import new_figure, save
+from finger_sim.plain import printing
 from finger_sim.scene import place
 
 FLAT = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
@@ -178,4 +180,4 @@ def note(axes: Axes, at: Any, text: str, colour: str, side: Any = "left", top: b
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(printing("draw_frames", main))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import sys
 import textwrap
 import time
@@ -18,6 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from .errors import FingerSimError
+from .plain import in_words, printing
 
 LINE_PERIOD = 2.0
 """Time between two lines about the same work where there is no terminal [s]."""
@@ -30,8 +32,8 @@ PLAIN_WIDTH = 200
 
 
 def console(stream: IO[str] | None = None) -> Console:
-    """A console on stdout, or on `stream`."""
-    stream = stream or sys.stdout
+    """A console on stdout, or on `stream`; on nothing where there is none."""
+    stream = stream or sys.stdout or io.StringIO()
     width = None if stream.isatty() else PLAIN_WIDTH
     return Console(file=stream, width=width, highlight=False, markup=False)
 
@@ -52,6 +54,8 @@ class FittedTable(Table):
     """A table whose columns are never narrower than their longest word; where they do not fit side by side, a list."""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        if not console.encoding.startswith("utf"):
+            self._put_in_words(console.encoding)
         cells = [[str(cell) for cell in (column.header, *column.cells)] for column in self.columns]
         least = [max(cell_len(word) for cell in column for word in cell.split() or [""]) for column in cells]
         wanted = [max(cell_len(line) for cell in column for line in cell.split("\n")) for column in cells]
@@ -64,6 +68,16 @@ class FittedTable(Table):
         for column, width in zip(self.columns, _widths(least, wanted, room), strict=True):
             column.width = width
         yield from super().__rich_console__(console, options.update(max_width=room + gaps))
+
+    def _put_in_words(self, encoding: str) -> None:
+        """Cells as an encoding can have them, so that columns are as wide as what is printed."""
+        rows = list(zip(*(column.cells for column in self.columns), strict=True))
+        self.columns = [column.copy() for column in self.columns]
+        for column in self.columns:
+            column.header = in_words(str(column.header), encoding)
+        self.rows = []
+        for row in rows:
+            self.add_row(*(in_words(str(cell), encoding) for cell in row))
 
 
 def _widths(least: list[int], wanted: list[int], room: int) -> list[int]:
@@ -163,10 +177,14 @@ def make_files(
     """
     parser = argparse.ArgumentParser(prog=f"python -m {module}", description=what)
     parser.add_argument("place", type=Path, help=place)
-    try:
-        for path in make(parser.parse_args(arguments).place):
-            print(path)
-    except (FingerSimError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 1
-    return 0
+
+    def made() -> int:
+        try:
+            for path in make(parser.parse_args(arguments).place):
+                print(path)
+        except (FingerSimError, OSError) as error:
+            print(error, file=sys.stderr)
+            return 1
+        return 0
+
+    return printing(parser.prog, made)

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 from ..errors import FingerSimError
+from ..plain import printing
 from . import meshes, recordings, simulate, studies
-from .common import FAILED, INTERRUPTED, MISTAKE
+from .common import INTERRUPTED, MISTAKE
 from .signals import Terminated, unwinding
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one verb. 0: the job was done, 1: a part of it failed, 2: a user's mistake, 130: interrupted.
 
+    Output that cannot be written, as on a full disk, is a part that failed; a reader that has gone, as `head` does,
+    and streams that are closed change nothing.
     Raises SystemExit with 143 on SIGTERM, once what the verb had begun is finished or removed.
     """
+    return printing("finger_sim", lambda: _main(arguments))
+
+
+def _main(arguments: Sequence[str] | None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     own = given.index("--ros-args") if given[:1] == ["node"] and "--ros-args" in given else len(given)
     try:
@@ -35,9 +41,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("finger_sim: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -105,7 +105,14 @@ def bare_loop(dt: float, seconds: float, priority: int) -> StepCounts:
     """
     say(f"watching a bare loop of {1.0 / dt:g} Hz")
     command = [sys.executable, "-m", "finger_sim.ros.loop", repr(dt), repr(seconds), str(priority)]
-    ran = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, start_new_session=True)
+    ran = subprocess.run(
+        command,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        encoding="utf-8",
+        errors="replace",
+        start_new_session=True,
+    )
     try:
         return StepCounts(**json.loads(ran.stdout))
     except (ValueError, TypeError):

@@ -35,6 +35,7 @@ from ..bags.changes import EVENTS, RESET, RESET_QOS
 from ..bags.origin import block_text, machine, origin_of
 from ..bags.template import Template
 from ..errors import FingerSimError, SceneError
+from ..plain import printing
 from ..scene import Pose, Scene
 from . import parameters, rclpy_private
 from .bag_paths import bag_path, free_name
@@ -325,6 +326,10 @@ class FingerNode(Node):  # type: ignore[misc]
 
 def main(args: list[str] | None = None) -> int:
     """Runs the node until SIGINT or SIGTERM; 0 after a clean end, 1 after an error."""
+    return printing("finger_node", lambda: _main(args))
+
+
+def _main(args: list[str] | None) -> int:
     stop = threading.Event()
     sys.setswitchinterval(SWITCH_INTERVAL)
     os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", TRANSPORTS)

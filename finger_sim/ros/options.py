@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from typing import Literal, get_args
 
 from ..bags.layout import WRENCH_FRAMES
 from ..bags.reader import Compression
+from ..plain import printing
 from ..scene import Scene
 from ..scene.fields import field
 from ..scene.reference import rows
@@ -148,6 +150,12 @@ class NodeOptions:
     )
 
 
-if __name__ == "__main__":
+def main() -> int:
+    """Prints the facts of all parameters."""
     for part in (Scene, NodeOptions):
         print(*rows(part), "", sep="\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(printing("finger_sim.ros.options", main))

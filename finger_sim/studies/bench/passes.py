@@ -204,7 +204,9 @@ def starts(scene: str, again: int, meter: Meter) -> tuple[float, list[float]]:
 def _start(scene: str, environment: dict[str, str]) -> float:
     begun = time.perf_counter()
     command = [sys.executable, "-c", _START, scene]
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8", errors="replace"
+    ) as child:
         assert child.stdout is not None
         ready = child.stdout.readline()
         spent = time.perf_counter() - begun
