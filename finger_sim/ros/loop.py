@@ -29,6 +29,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from ..arrays import Floats
+from ..plain import printing
 
 KEPT = 4096
 """Steps whose times are kept for percentiles: the last 4 s at 1 kHz, so that a report tells of the present."""
@@ -303,4 +304,5 @@ def _sleep_exactly() -> None:
 
 if __name__ == "__main__":
     period, seconds, priority = sys.argv[1:]
-    print(json.dumps(bare(float(period), float(seconds), int(priority))._asdict()))
+    counts = bare(float(period), float(seconds), int(priority))
+    sys.exit(printing("finger_sim.ros.loop", lambda: print(json.dumps(counts._asdict()))))

@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from typing import Any
@@ -41,13 +41,14 @@ from . import parameters, rclpy_private
 from .bag_paths import bag_path, free_name
 from .bag_pipe import Standby
 from .diagnostics import Reporter
+from .given import unreached
 from .graph_watch import GraphWatch
 from .inbox import Command, Inbox
 from .loop import Loop, RateLoop, StepCounts, TriggeredLoop, prefer_this_thread
 from .messages import time_of
 from .options import NodeOptions
 from .outputs import Outputs
-from .process import flush, process_age
+from .process import flush, process_age, set_up
 from .recorder import RecordedTopic, Recorder
 from .rosout import Rosout
 from .stepper import Stepper
@@ -63,19 +64,14 @@ WAITING_COMMANDS = 1000
 NOTHING_YET = StepCounts(0, 0, 0, 0.0, 0.0)
 """How far a loop is that has not begun."""
 
-TRANSPORTS = "UDPv4"
-"""Of Fast DDS, where the environment names none: through shared memory a publisher, and a step with it, waits for a
-listening process that was paused. A round trip takes 0.2 to 0.3 ms longer over UDP (README, Speed and accuracy). Under
-ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST rmw takes shared memory all the same."""
-
-SWITCH_INTERVAL = 5e-5
-"""How long another thread of this process may keep the interpreter when a step is due [s]."""
-
 
 class FingerNode(Node):  # type: ignore[misc]
-    """Wires topics, services and parameters to the loop. Raises FingerSimError for parameters of no use."""
+    """Wires topics, services and parameters to the loop. Raises FingerSimError for parameters of no use.
 
-    def __init__(self) -> None:
+    given : the arguments of its process, as rclpy.init took them
+    """
+
+    def __init__(self, given: Sequence[str]) -> None:
         super().__init__("finger")
         log = self.get_logger()
         overrides = rclpy_private.overrides(self)
@@ -121,8 +117,9 @@ class FingerNode(Node):  # type: ignore[misc]
         self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._inbox, graph)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
-        for text in parameters.unused_qualities(overrides, self):
+        for text in (*parameters.unused_qualities(overrides, self), *unreached(given, self)):
             log.warning(text)
+        log.info(parameters.forces(options, scene))
 
     def run(self, stop: threading.Event) -> int:
         """Serves until `stop` is set or the loop fails; the exit code."""
@@ -331,14 +328,13 @@ def main(args: list[str] | None = None) -> int:
 
 def _main(args: list[str] | None) -> int:
     stop = threading.Event()
-    sys.setswitchinterval(SWITCH_INTERVAL)
-    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", TRANSPORTS)
+    set_up()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     try:
         rclpy_private.require()
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        node = FingerNode()
+        node = FingerNode(sys.argv[1:] if args is None else args)
     except (FingerSimError, ParameterException, RuntimeError) as error:
         print(f"finger_node: {error}", file=sys.stderr)
         return 1

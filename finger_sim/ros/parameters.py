@@ -131,6 +131,15 @@ def unused_qualities(overrides: Iterable[str], node: Any) -> Iterator[str]:
             yield f"parameter {name} changes nothing here" + (f"; did you mean {near}?" if near else "")
 
 
+def forces(options: NodeOptions, scene: Scene) -> str:
+    """What bounds the forces on a device, for the log of a node that begins."""
+    clamps = scene.coupling
+    return (
+        f"device_wrench: force_scale {options.force_scale:g}, coupling.force_limit {clamps.force_limit:g} N, "
+        f"coupling.torque_limit {clamps.torque_limit:g} N m"
+    )
+
+
 def nearest(name: str, names: Iterable[str]) -> str:
     """The one most like `name`; "" if none is near."""
     import difflib
