@@ -158,7 +158,7 @@ def printing(name: str, work: Callable[[], int | None]) -> int:
     """
     if isinstance(sys.stdout, _Stream):
         return work() or 0
-    _occupy()
+    occupy()
     out, err = _Stream(sys.stdout), _Stream(sys.stderr)
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)
     try:
@@ -180,7 +180,7 @@ def _told(out: _Stream, err: _Stream, name: str) -> bool:
     return out.lost is not None
 
 
-def _occupy() -> None:
+def occupy() -> None:
     """Opens nowhere in place of standard streams that are closed: no file and no socket becomes one of them."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)

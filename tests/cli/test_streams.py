@@ -69,7 +69,9 @@ def test_a_stream_that_cannot_be_written(here: Path) -> None:
     """
     full = b"finger_sim: error: stdout: cannot be written: No space left on device\n"
     version, made = "python -m finger_sim --version", "python -m finger_sim mesh beam -o"
+    where = "python -c \"import finger_sim.ros, os; os.mkdir(os.readlink('/proc/self/fd/1').replace('/', '_'))\""
     cases = [
+        (f"{where} >&-", 0, b""),
         (f"{made} plain.vtu", 0, b""),
         (f"{made} full.vtu > /dev/full", 1, full),
         (f"{made} closed.vtu <&- >&- 2>&-", 0, b""),
@@ -84,6 +86,7 @@ def test_a_stream_that_cannot_be_written(here: Path) -> None:
     for process, (line, code, err) in zip(started, cases, strict=True):
         said = process.communicate(timeout=100)[1]
         assert (process.returncode, said) == (code, err), line
+    assert (here / "_dev_null").exists()  # where stdout of the first leads to
     meshes = [file.read_bytes() for file in here.glob("*.vtu")]
     assert len(meshes) == 4
     assert set(meshes) == {meshes[0]}

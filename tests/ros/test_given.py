@@ -69,7 +69,7 @@ def test_a_file_is_said_to_reach_nothing_where_ros_hands_nothing_over(tmp_path: 
 
 
 def test_what_else_does_not_arrive(tmp_path: Path) -> None:
-    """Values for another node, an empty file, a pattern that gives less than a name does, and what is no ROS argument."""
+    """Values for another node, an empty file, a name that is not ours beside a pattern, and what is no ROS argument."""
     sim_time = {"ros__parameters": {"use_sim_time": True}}
     empty = params(tmp_path / "empty.yaml")
     partly = params(tmp_path / "partly.yaml", **{"/**": sim_time, "finger_node": GENTLE})
