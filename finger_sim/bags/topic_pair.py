@@ -94,8 +94,7 @@ class TopicPair:
         out.before, out.after = (self._before_b, self._before_a), (self._after_b + len(self._waiting), self._since_a)
         outside = out.before[0] + out.after[0], out.before[1] + out.after[1]
         out.outside = outside if out.compared else out.messages
-        comparable = not self.broken and all(math.isfinite(difference.max) for difference in out.differences)
-        if self._meter is not None and comparable:
+        if self._meter is not None and all(math.isfinite(difference.max) for difference in out.differences):
             out.lag = self._meter.lag()
         if self.tolerance is None:
             out.equal = out.identical
@@ -104,8 +103,6 @@ class TopicPair:
                 out.first = out.first or f"{out.outside[0]} messages of A and {out.outside[1]} of B have no counterpart"
             elif self._kind is None and not overlap and out.messages[0] != out.messages[1]:
                 out.first = out.first or f"{out.messages[0]} messages in A, {out.messages[1]} in B"
-            elif self.broken:
-                out.first = out.first or "a message that cannot be read"
             out.equal = out.first is None
 
     def _match(self, a: Moment, b: Moment) -> None:
