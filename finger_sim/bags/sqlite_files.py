@@ -10,9 +10,10 @@ import heapq
 import shutil
 import sqlite3
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
-from itertools import compress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +29,6 @@ _COPIES = 5
 """Times that a database is copied which changes meanwhile: then its recorder still writes."""
 _LOG_HEAD, _FRAME_HEAD = 32, 24
 """Sizes in a write-ahead log [byte]."""
-_ROW = "SELECT topic_id, data FROM messages WHERE id = ?"
 _LONGEST = 1_000_000_000
 """Size of a value that sqlite3 allows [byte]."""
 
@@ -49,23 +49,55 @@ class _Database:
     stored: Stored
     topics: dict[int, Topic] = field(default_factory=dict)
     damage: list[str] = field(default_factory=list)
-    ids: array[int] = field(default_factory=lambda: array("q"))
-    times: array[int] = field(default_factory=lambda: array("q"))
+    foreign: set[int] = field(default_factory=set)
+    """Numbers of topics that are not of ROS 2."""
+    ids: array[int] = field(init=False)
+    times: array[int] = field(init=False)
+    keys: array[int] = field(init=False)
+    """Rows of messages, their log times [ns] and the numbers of their topics, as they are in the file."""
 
-    def keep(self, keys: array[int]) -> array[int]:
-        """Leaves out rows that cannot be read by their number; what is left of `keys`, which go with them.
+    def index(self) -> None:
+        """Finds the rows that are messages."""
+        self.ids, self.times, self.keys = array("q"), array("q"), array("q")
+        broken: list[str] = []
+        with closing(self.open()) as connection:
+            for row in _rows(connection, self.damage):
+                if row.topic in self.foreign:
+                    continue
+                if why := self._fault(row):
+                    broken.append(f"row {row.id}: {why}")
+                    continue
+                self.ids.append(row.id)
+                self.times.append(row.time)
+                self.keys.append(row.topic)
+        if broken:
+            self.damage.append(f"{len(broken)} messages cannot be read, the first at {broken[0]}")
 
-        In a damaged file not all can that are read in their order, and it depends on what was read before.
-        """
-        connection = self.open()
+    def _fault(self, row: _Row) -> str | None:
+        """Why a row is no message; None where it is one."""
+        if not isinstance(row.time, int) or row.time < 0:
+            return f"timestamp {row.time!r}"
+        if not isinstance(row.data, bytes):
+            return f"data of type {type(row.data).__name__}"
+        if row.topic not in self.topics:
+            return f"topic_id {row.topic!r} without a topic"
         try:
-            sound = [_found(connection, row) for row in self.ids]
-        finally:
-            connection.close()
-        self.ids, self.times, keys = (array("q", compress(each, sound)) for each in (self.ids, self.times, keys))
-        if lost := sound.count(False):
-            self.damage.append(f"{lost} more rows cannot be read")
-        return keys
+            plain_message(row.data)
+        except PackingError as error:
+            return str(error)
+        return None
+
+    def salvage(self, scratch: Scratch) -> None:
+        """Has a copy of what can be read take the place of a damaged file: reading that twice may give two things."""
+        copy = scratch.place(self.stored.path.name)
+        self.damage.clear()
+        with closing(self.open()) as damaged, closing(sqlite3.connect(copy)) as sound:
+            sound.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)")
+            sound.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+            sound.executemany("INSERT INTO topics VALUES(?, ?, ?, ?)", _topics(damaged))
+            sound.executemany("INSERT INTO messages VALUES(?, ?, ?, ?)", _rows(damaged, self.damage))
+            sound.commit()
+        self.stored = self.stored._replace(path=copy)
 
     def open(self) -> sqlite3.Connection:
         """Opened so that nothing is written, and that a file that was cut off is read as far as it goes."""
@@ -87,85 +119,55 @@ class SqliteSource(Source):
         self.files = [_Database(_settled(file, scratch)) for file in files]
         numbers: dict[tuple[str, str, int], Numbers] = {}
         for file in self.files:
+            cut = _cut_off(file.stored.path)
             try:
                 self._scan(file, numbers)
             except (sqlite3.Error, BagError) as error:
                 file.damage.append(str(error) if isinstance(error, BagError) else f"cannot be read by sqlite3: {error}")
                 if len(self.files) == 1:
-                    raise BagError(f"{file.stored.name}: {'; '.join(file.damage)}") from None
-        self.topics = tuple(Topic(topic.name, topic.type, topic.count) for topic in topics_of(numbers))
+                    raise BagError(f"{file.stored.name}: {'; '.join([*cut, *file.damage])}") from None
+            file.damage[:0] = cut
+        self.topics = topics_of(numbers)
         self.warnings = [file.stored.damage for file in self.files if file.stored.damage]
         self.warnings += [f"{file.stored.name}: {text}" for file in self.files for text in file.damage]
 
     def _scan(self, file: _Database, numbers: dict[tuple[str, str, int], Numbers]) -> None:
         """Finds the messages of a file that can be read, and counts them by topic and type."""
-        file.damage += _cut_off(file.stored.path)
-        connection = file.open()
-        try:
-            formats = set()
-            for number, name, type, format in _topics(connection):
-                formats.add(format)
-                if format == "cdr":
-                    file.topics[number] = Topic(name, type, 0)
-                    numbers.setdefault((name, type, 0), Numbers())
-                else:
-                    self.foreign = True
-            if formats and "cdr" not in formats:
-                raise BagError(f"holds no ROS 2 messages (cdr), but {', '.join(sorted(formats))}")
-            broken: list[str] = []
-            keys = array("q")
-            for row in _rows(connection, file.damage):
-                why = self._fault(file, row)
-                if why:
-                    broken.append(f"row {row.id}: {why}")
-                elif row.topic in file.topics:
-                    keys.append(row.topic)
-                    file.ids.append(row.id)
-                    file.times.append(row.time)
-            if file.damage:
-                keys = file.keep(keys)
-            if broken:
-                file.damage.append(f"{len(broken)} messages cannot be read, the first at {broken[0]}")
-        finally:
-            connection.close()
-        for key in keys:
-            numbers[file.topics[key].name, file.topics[key].type, 0].take(0)
+        with closing(file.open()) as connection:
+            topics = _topics(connection)
+        formats = {format for *_, format in topics}
+        if formats and "cdr" not in formats:
+            raise BagError(f"holds no ROS 2 messages (cdr), but {', '.join(sorted(formats))}")
+        self.foreign = self.foreign or len(formats) > 1
+        file.foreign = {number for number, *_, format in topics if format != "cdr"}
+        file.topics = {number: Topic(name, type, 0) for number, name, type, format in topics if format == "cdr"}
+        file.index()
+        if file.damage:
+            file.salvage(self._scratch)
+            file.index()
+        counts = Counter(file.keys)
+        for key, topic in file.topics.items():
+            channel = numbers.setdefault((topic.name, topic.type, 0), Numbers(lost=None))
+            channel.count += counts[key]
         if file.times:
             self.spans(min(file.times), max(file.times))
-
-    def _fault(self, file: _Database, row: _Row) -> str | None:
-        """Why a row is no message; None where it is one, or one of no topic of ROS 2."""
-        if not isinstance(row.time, int) or row.time < 0:
-            return f"timestamp {row.time!r}"
-        if not isinstance(row.data, bytes):
-            return f"data of type {type(row.data).__name__}"
-        if row.topic not in file.topics:
-            return None if self.foreign else f"topic_id {row.topic!r} without a topic"
-        try:
-            plain_message(row.data)
-        except PackingError as error:
-            return str(error)
-        return None
 
     def messages(self) -> Iterator[Message]:
         try:
             yield from heapq.merge(*map(self._of_file, self.files), key=lambda message: message.log_time)
-        except (OSError, sqlite3.Error, PackingError, KeyError) as error:
+        except (OSError, sqlite3.Error, PackingError, ValueError) as error:
             raise BagError(f"{self.files[0].stored.name.parent}: changed while it was read: {error}") from None
 
     def _of_file(self, file: _Database) -> Iterator[Message]:
         """Messages of one file in the order of time."""
-        if not file.ids:
+        if not file.topics:
             return
-        connection = file.open()
-        try:
+        with closing(file.open()) as connection:
             ids, times = np.array(file.ids), np.array(file.times)
             for i in np.argsort(times, kind="stable").tolist():
-                ((topic, data),) = connection.execute(_ROW, (int(ids[i]),))
-                name, type, time = file.topics[topic].name, file.topics[topic].type, int(times[i])
-                yield Message(name, type, time, time, plain_message(data), 0)
-        finally:
-            connection.close()
+                ((data,),) = connection.execute("SELECT data FROM messages WHERE id = ?", (int(ids[i]),))
+                topic, time = file.topics[file.keys[i]], int(times[i])
+                yield Message(topic.name, topic.type, time, time, plain_message(data), 0)
 
 
 def _cut_off(path: Path) -> list[str]:
@@ -185,14 +187,6 @@ def _topics(connection: sqlite3.Connection) -> list[tuple[int, str, str, str]]:
             raise BagError(f"a sqlite3 file, but no bag: it has no table {table}")
     rows = connection.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id")
     return [row for row in rows if isinstance(row[0], int) and all(isinstance(text, str) for text in row[1:])]
-
-
-def _found(connection: sqlite3.Connection, row: int) -> bool:
-    """Whether a row is found by its number."""
-    try:
-        return len(list(connection.execute(_ROW, (row,)))) == 1
-    except sqlite3.Error:
-        return False
 
 
 def _rows(connection: sqlite3.Connection, damage: list[str]) -> Iterator[_Row]:
@@ -244,13 +238,10 @@ def _merged(file: Stored, logs: Sequence[Path], scratch: Scratch) -> Stored:
         raise BagError(f"{file.name}: its recorder still writes it; read it when that has ended")
     wal = copy.with_name(f"{copy.name}{LOGS[0]}")
     frames = _frames(wal.read_bytes()) if wal.exists() else 0
-    connection = sqlite3.connect(copy)
-    try:
+    with closing(sqlite3.connect(copy)) as connection:
         connection.execute("SELECT count(*) FROM sqlite_master").fetchone()  # a journal is undone by the first reader
         _, merged, _ = connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
         connection.execute("PRAGMA journal_mode = DELETE").fetchone()
-    finally:
-        connection.close()
     missing = frames - max(merged, 0)
     damage = f"{file.name}: {missing} pages of its write-ahead log are damaged, or were not committed"
     return file._replace(path=copy, damage=damage if missing > 0 else file.damage)
