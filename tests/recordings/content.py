@@ -20,6 +20,8 @@ START = 1_767_225_600_000_000_000
 """Log time of the first message [ns]."""
 PERIOD = 10_000_000
 """Time from one command to the next [ns]."""
+AFTER = 3_000_000, 7_000_000
+"""Time from a command to the others that come after it [ns]."""
 DAY = 86_400 * 1_000_000_000
 COUNT = 60
 """Commands in a recording."""
@@ -88,22 +90,21 @@ def _wrench(k: int, stamp: int) -> bytes:
     return _header(stamp) + struct.pack("<6d", 0.0, 0.0, 0.01 * k, 0.0, 0.0, 0.0)
 
 
-def _others(times: Sequence[int]) -> list[Put]:
-    """A wrench beside every third command, a message of a foreign type beside every fifth."""
-    wrenches = [Put(WRENCHES, WRENCH_STAMPED, t, _wrench(k, t), k + 1) for k, t in enumerate(times[::3])]
-    foreign = [Put(OTHERS, FOREIGN, t, b"\0\1\0\0" + struct.pack("<q", t), k + 1) for k, t in enumerate(times[::5])]
-    return wrenches + foreign
-
-
 def _commands(times: Sequence[int]) -> list[Put]:
     return [Put(COMMANDS, POSE_STAMPED, t, pose_stamped(k, t), k + 1) for k, t in enumerate(times)]
 
 
-def _interleaved(commands: list[Put], times: Sequence[int]) -> tuple[Put, ...]:
-    """Commands and the others as a recorder gets them, whatever its clock says."""
-    others = _others(times)
-    after = {time: [message for message in others if message.log_time == time] for time in times}
-    return tuple(message for command in commands for message in (command, *after[command.log_time]))
+def _others(k: int, t: int) -> list[Put]:
+    """What is recorded after command `k`: a wrench after every third, a message of a foreign type after every fifth."""
+    w, f = t + AFTER[0], t + AFTER[1]
+    wrench = Put(WRENCHES, WRENCH_STAMPED, w, _wrench(k, w), k // 3 + 1)
+    foreign = Put(OTHERS, FOREIGN, f, b"\0\1\0\0" + struct.pack("<q", f), k // 5 + 1)
+    return [wrench] * (k % 3 == 0) + [foreign] * (k % 5 == 0)
+
+
+def _interleaved(commands: list[Put]) -> tuple[Put, ...]:
+    """Commands and the others as a recorder gets them; all their log times differ."""
+    return tuple(each for k, command in enumerate(commands) for each in (command, *_others(k, command.log_time)))
 
 
 def _steady() -> list[int]:
@@ -113,19 +114,19 @@ def _steady() -> list[int]:
 def plain() -> Content:
     """Nothing is special."""
     times = _steady()
-    return Content(_interleaved(_commands(times), times))
+    return Content(_interleaved(_commands(times)))
 
 
 def clock_back() -> Content:
     """The recorder's clock was set back twice: by 0.1955 s and by 0.0947 s."""
     times = [t - 195_500_000 * (k >= 20) - 94_700_000 * (k >= 45) for k, t in enumerate(_steady())]
-    return Content(_interleaved(_commands(times), times))
+    return Content(_interleaved(_commands(times)))
 
 
 def days_apart() -> Content:
     """Three days pass between two messages."""
     times = [t + 3 * DAY * (k >= 30) for k, t in enumerate(_steady())]
-    return Content(_interleaved(_commands(times), times))
+    return Content(_interleaved(_commands(times)))
 
 
 def one_instant() -> Content:
@@ -140,14 +141,14 @@ def several_publishers() -> Content:
     commands = [
         m._replace(publisher=k % 2, sequence=k // 2 + 1 + 5000 * (k % 2)) for k, m in enumerate(_commands(times))
     ]
-    return Content(_interleaved(commands, times))
+    return Content(_interleaved(commands))
 
 
 def numbers_mixed() -> Content:
     """Two publishers take turns, and the recorder did not keep them apart."""
     times = _steady()
     commands = [m._replace(sequence=k // 2 + 1 + 5000 * (k % 2)) for k, m in enumerate(_commands(times))]
-    return Content(_interleaved(commands, times), lost=None)
+    return Content(_interleaved(commands), lost=None)
 
 
 def numbers_missing() -> Content:
@@ -158,7 +159,7 @@ def numbers_missing() -> Content:
         number, publisher = k // 2 + 1, k % 2
         missing = 3 * (publisher == 0 and number > 10) + (publisher == 1 and number > 20)
         commands.append(message._replace(publisher=publisher, sequence=number + missing))
-    return Content(_interleaved(commands, times), lost=4)
+    return Content(_interleaved(commands), lost=4)
 
 
 def no_pose() -> Content:
@@ -167,7 +168,7 @@ def no_pose() -> Content:
     commands = _commands(times)
     commands[20] = commands[20]._replace(data=commands[20].data[:50])
     commands[41] = commands[41]._replace(data=b"")
-    return Content(_interleaved(commands, times), refused=2)
+    return Content(_interleaved(commands), refused=2)
 
 
 def two_types() -> Content:
@@ -181,7 +182,7 @@ def two_types() -> Content:
 
 def no_commands() -> Content:
     """The topic of the commands is there, without a message."""
-    return Content(tuple(_others(_steady())))
+    return Content(tuple(each for k, t in enumerate(_steady()) for each in _others(k, t)))
 
 
 def empty() -> Content:

@@ -17,7 +17,7 @@ import yaml
 import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 
-from .content import FOREIGN, Content, Put
+from .content import COMMANDS, FOREIGN, Content, Put
 
 Codec = Literal["", "zstd", "lz4"]
 CODECS: dict[Codec, Callable[[bytes], bytes]] = {
@@ -165,8 +165,8 @@ def tables(schema: int) -> str:
     if schema >= 4:
         columns += ", type_description_hash TEXT NOT NULL"
         text.append(
-            "CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL, "
-            "encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL)"
+            "CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, "
+            "encoding TEXT NOT NULL, encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL)"
         )
     return ";".join([*text, f"CREATE TABLE topics({columns})"]) + ";"
 
@@ -177,7 +177,7 @@ def add_topics(database: sqlite3.Connection, format: Format, content: Content) -
     database.executescript(tables(schema))
     ids = {topic: number for number, topic in enumerate(content.topics, start=1)}
     for (name, type), number in ids.items():
-        row = [number, name, type, "cdr", QOS, ""][: 4 + (schema >= 2) + (schema >= 4)]
+        row = [number, name, type, "cdr", QOS if name == COMMANDS else "", ""][: 4 + (schema >= 2) + (schema >= 4)]
         database.execute(f"INSERT INTO topics VALUES ({', '.join('?' * len(row))})", row)
     if schema >= 4:
         for number, type in enumerate(dict.fromkeys(type for _, type in ids), start=1):
@@ -221,23 +221,23 @@ def write_mcap(path: Path, format: Format, content: Content, part: Sequence[Put]
     writer.finish()
 
 
-def metadata(
-    format: Format, content: Content, files: Sequence[Path], parts: Sequence[Sequence[Put]]
-) -> dict[str, Any]:
+def metadata(format: Format, content: Content, files: Sequence[Path], parts: Sequence[Sequence[Put]]) -> dict[str, Any]:
     """What a recorder that ended well says of its recording, in the words of the version that wrote it."""
     version = {2: 4, 3: 5, 4: 9}[format.schema]
     counts = Counter((m.topic, m.type) for m in content.put)
     qos: Any = yaml.safe_load(QOS) if version >= 9 else QOS
     topics = [
         {
-            "topic_metadata": {"name": name, "type": type, "serialization_format": "cdr"}
-            | {"offered_qos_profiles": qos if format.storage == "sqlite3" else []}
+            "topic_metadata": {"name": name, "type": type_name, "serialization_format": "cdr"}
+            | {"offered_qos_profiles": qos if name == COMMANDS and format.storage == "sqlite3" else type(qos)()}
             | ({"type_description_hash": ""} if version >= 7 else {}),
-            "message_count": counts[name, type],
+            "message_count": counts[name, type_name],
         }
-        for name, type in content.topics
+        for name, type_name in content.topics
     ]
-    own = [{"path": file.name, **_times(part), "message_count": len(part)} for file, part in zip(files, parts, strict=True)]
+    own = [
+        {"path": file.name, **_times(part), "message_count": len(part)} for file, part in zip(files, parts, strict=True)
+    ]
     return {
         "version": version,
         "storage_identifier": format.storage,
@@ -270,5 +270,3 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     content = yaml.safe_load((folder / "metadata.yaml").read_text(encoding="utf-8"))
     information: dict[str, Any] = content["rosbag2_bagfile_information"]
     return information
-
-

@@ -41,11 +41,11 @@ def by_mcap(recording: Recording) -> list[Seen]:
     return seen
 
 
-def by_sqlite(recording: Recording) -> list[Seen]:
-    """What Python's sqlite3 reads."""
+def by_sqlite(recording: Recording, mode: str = "immutable=1") -> list[Seen]:
+    """What Python's sqlite3 reads; with `mode=rw` also of the log beside a database, which it then tidies up."""
     seen: list[Seen] = []
     for path in recording.files:
-        database = sqlite3.connect(f"file:{path}?immutable=1", uri=True)
+        database = sqlite3.connect(f"file:{path}?{mode}", uri=True)
         query = "SELECT name, type, timestamp, data FROM messages JOIN topics ON topics.id = topic_id"
         seen += database.execute(query).fetchall()
         database.close()
@@ -107,5 +107,3 @@ def assert_explained(error: BagError, path: Path, *words: str) -> None:
     assert path.name in text
     assert "Invalid CDR" not in text
     assert all(word in text.lower() for word in words), text
-
-

@@ -31,7 +31,9 @@ def test_read_as_written(name: str, content: str, tmp_path: Path) -> None:
         assert sorted(judge(recording)) == sorted(m.seen for m in put.put)
     reader, messages = read(recording.path)
     assert messages == [m.seen for m in put.ordered]
-    assert {(m.topic, m.type) for m in put.put} <= {(topic.name, topic.type) for topic in reader.topics} <= {*put.topics}
+    assert (
+        {(m.topic, m.type) for m in put.put} <= {(topic.name, topic.type) for topic in reader.topics} <= {*put.topics}
+    )
     assert reader.warning is None
     if recording.format.storage == "mcap":
         assert [m.sequence for m in reader] == [m.sequence for m in put.ordered]
