@@ -120,7 +120,8 @@ def killed_while_rolling(folder: Path, format: Format, content: Content, committ
     path, scratch = folder / "recording_0.db3", folder / "scratch" / "recording_0.db3"
     scratch.parent.mkdir(parents=True)
     database = sqlite3.connect(scratch)
-    database.execute("PRAGMA cache_size=2")  # pages: the transaction spills over into the file
+    database.execute("PRAGMA page_size=512")
+    database.execute("PRAGMA cache_size=2")  # of pages, so few that the transaction spills over into the file
     ids = add_topics(database, format, content)
     query = "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)"
     rows = [(ids[m.topic, m.type], m.log_time, m.data) for m in content.put]
