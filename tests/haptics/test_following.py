@@ -257,6 +257,35 @@ def test_a_start_inside_the_plane_is_no_blow(scene: str) -> None:
     assert forces[-1, 2] == pytest.approx(slowly, rel=0.03)
 
 
+@for_each("following", ["hold", "predict"])
+def test_a_reset_inside_the_plane_goes_on_to_its_command(following: Following) -> None:
+    """Without another command, in every mode: there in three tenths of a second at most, and no faster than in one."""
+    sim = Simulator(Scene.load("finger_coupled").with_values({"coupling.following": following}))
+    deep = pose((0.0, 0.0, 0.0051), FLAT)
+    sim.reset(deep)
+    heights = [deep.position[2] + sim.set_down_by]
+    for _ in range(300):
+        sim.step()
+        heights.append(sim.follower.pose.position[2])
+    assert heights[-1] == pytest.approx(deep.position[2], abs=1e-6)
+    assert -np.diff(heights).min() < 2.0 * sim.set_down_by / 0.1 * MS
+
+
+def test_a_clock_that_is_set_ends_no_following() -> None:
+    """Back or forth, by an hour or by half a second: some tenths of a second later all is as it was before."""
+    for following in ("auto", "predict"):
+        for ahead in (-3600.0, -3.0, -0.5, 3.0):
+            follower, path = Follower(pose()), []
+            for k in range(2000):
+                now = k * MS + (ahead if k >= 1000 else 0.0)
+                if k % 15 == 0:
+                    follower.hear(pose((0.1 * k * MS, 0.0, 0.0)), now)
+                path.append(follower.advance(following, now, MS).position[0])  # type: ignore[arg-type]
+            assert follower.delay(following) < 0.025, (following, ahead)  # type: ignore[arg-type]
+            assert np.abs(np.diff(path)).max() < 3.0 * 0.1 * MS, (following, ahead)
+            assert path[1400:] == pytest.approx(0.1 * MS * np.arange(1400, 2000), abs=0.1 * 0.03), (following, ahead)
+
+
 def test_modes_change_in_motion_without_a_jump() -> None:
     """Between path and prediction, at any time: on from where the bone is, as fast as it is."""
     for modes in (("linear", "predict"), ("predict", "auto"), ("hold", "predict"), ("auto", "linear")):
