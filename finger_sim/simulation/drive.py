@@ -35,7 +35,7 @@ class Drive:
         self.start = self.end = pose
         self.limited = False
         self.velocity: Floats = np.zeros(6)
-        self._speed = CommandSpeed()
+        self._speed: CommandSpeed | None = None  # while held
         self.follower.rest(pose, self.command)
 
     def hear(self, command: Pose, received: float | None) -> None:
@@ -69,8 +69,11 @@ class Drive:
     def _measure(self, coupling: Coupling, dt: float) -> None:
         """The velocity in the last step: of a path as it is, of jumps their mean."""
         if coupling.following == "hold":
+            self._speed = self._speed or CommandSpeed()
             self.velocity = self._speed.step(self.start, self.end, dt)
-        elif self.end is not self.start:
+            return
+        self._speed = None
+        if self.end is not self.start:
             self.velocity = np.array(displacement(self.start, self.end)) / dt
         elif self.velocity.any():
             self.velocity = np.zeros(6)

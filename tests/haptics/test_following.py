@@ -286,6 +286,19 @@ def test_a_clock_that_is_set_ends_no_following() -> None:
             assert path[1400:] == pytest.approx(0.1 * MS * np.arange(1400, 2000), abs=0.1 * 0.03), (following, ahead)
 
 
+def test_a_bone_at_rest_is_held_at_rest() -> None:
+    """Held, led along a path to its end, and held again: nothing is left of the speed that it had when held first."""
+    sim = Simulator(Scene.load("finger_coupled").with_values({"coupling.following": "hold"}))
+    sim.reset(pose((0.0, 0.0, 0.05), FLAT))
+    for _ in range(15):
+        sim.step()
+    sim.step(pose((0.002, 0.0, 0.05), FLAT))
+    for following in ("linear", "hold"):
+        sim.apply({"coupling.following": following})
+        forces = [np.linalg.norm(sim.step().device_wrench[:3]) for _ in range(500)]
+    assert max(forces) < 1e-6
+
+
 def test_modes_change_in_motion_without_a_jump() -> None:
     """Between path and prediction, at any time: on from where the bone is, as fast as it is."""
     for modes in (("linear", "predict"), ("predict", "auto"), ("hold", "predict"), ("auto", "linear")):
