@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..arrays import Floats
+from ..errors import SceneError
 from ..haptics.coupling import CommandSpeed, between, displacement, follow, stop_at_plane
 from ..haptics.following import Follower
 from ..scene import Coupling, Pose, Vec3
@@ -77,3 +80,10 @@ class Drive:
             self.velocity = np.array(displacement(self.start, self.end)) / dt
         elif self.velocity.any():
             self.velocity = np.zeros(6)
+
+
+def checked_time(time: float | None, name: str) -> float | None:
+    """A time [s], if there is one. Raises SceneError where it is not finite."""
+    if time is not None and not math.isfinite(time):
+        raise SceneError(name, time, "a finite time [s]")
+    return time

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from physics_helpers import pose
 from scipy.spatial.transform import Rotation, Slerp
 
-from finger_sim import Pose, Scene, Simulator
+from finger_sim import Pose, Scene, SceneError, Simulator
 from finger_sim.haptics.cadence import Cadence
 from finger_sim.haptics.following import LONGEST_WINDOW, Follower, Following
 from finger_sim.haptics.path import numbers
@@ -297,6 +297,18 @@ def test_a_bone_at_rest_is_held_at_rest() -> None:
         sim.apply({"coupling.following": following})
         forces = [np.linalg.norm(sim.step().device_wrench[:3]) for _ in range(500)]
     assert max(forces) < 1e-6
+
+
+def test_a_time_that_is_none_is_refused() -> None:
+    """By name, and as if it had not been tried."""
+    sim = Simulator(Scene.load("finger_coupled"))
+    for bad in (np.nan, np.inf):
+        with pytest.raises(SceneError, match=f"received: got {bad}, allowed: a finite time"):
+            sim.hear(pose((0.0, 0.0, 0.2), FLAT), bad)
+        with pytest.raises(SceneError, match=f"now: got {bad}, allowed: a finite time"):
+            sim.step(pose((0.0, 0.0, 0.2), FLAT), now=bad)
+    assert sim.time == 0.0
+    assert sim.step(now=0.0).pose == Simulator(sim.scene).step(now=0.0).pose
 
 
 def test_modes_change_in_motion_without_a_jump() -> None:
