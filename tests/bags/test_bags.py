@@ -500,7 +500,7 @@ import resource, sys
 from finger_sim.bags import cdr
 from finger_sim.bags.reader import BagReader, BagWriter
 from finger_sim.errors import BagError
-resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
 bag = BagWriter(sys.argv[1], compression="none")
 bag.add_topic("pose", cdr.POSE_STAMPED)
 try:
@@ -512,20 +512,31 @@ try:
     bag.write("pose", b"", 0)
 except BagError as error:
     print(error)
-bag.close()
-print(BagReader(sys.argv[1]).message_count)
+try:
+    bag.cut("it was full")
+    print("finished")
+except BagError as error:
+    print(error)
+print(bag.saved)
 """
 
 
-def test_full_disk_is_told_and_the_rest_stays_readable(tmp_path: Path) -> None:
-    """When the system refuses to write, the reason is in the error and the chunks before it can be read."""
+@pytest.mark.parametrize(("limit", "end"), [(60_000, "too short for an end"), (200_000, "finished")])
+def test_full_disk_is_told_and_the_rest_stays_readable(tmp_path: Path, limit: int, end: str) -> None:
+    """When the system refuses to write, the reason is in the error, and what reached the disk is read and counted.
+
+    Cut there, the bag is finished where that leaves room for its end; where it does not, nothing is taken from it.
+    """
     path = tmp_path / "bag"
-    done = subprocess.run([sys.executable, "-c", FILL_DISK, str(path)], capture_output=True, text=True, check=True)
-    first, second, count = done.stdout.splitlines()
+    arguments = [sys.executable, "-c", FILL_DISK, str(path), str(limit)]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True)
+    first, second, third, count = done.stdout.splitlines()
     assert "File too large" in first
     assert "closed" in second
-    assert int(count) >= 250
-    assert BagReader(path).truncated
+    assert end in third
+    reader = BagReader(path)
+    assert reader.message_count == len(list(reader)) == int(count) >= 250
+    assert (reader.truncated, reader.cut) == ((False, "it was full") if end == "finished" else (True, None))
 
 
 def test_a_disk_that_fills_up_between_two_files_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -546,7 +557,9 @@ def test_a_disk_that_fills_up_between_two_files_is_told(tmp_path: Path, monkeypa
     monkeypatch.undo()
     with mcap_file(tmp_path / "bag").open("rb") as stream:
         assert sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages()) == 250
-    assert BagReader(tmp_path / "bag").warning is None
+    bag.cut("full")
+    reader = BagReader(tmp_path / "bag")
+    assert (reader.warning, reader.cut, reader.message_count, bag.saved) == (None, "full", 250, 250)
 
 
 def test_existing_and_impossible_outputs_are_refused(tmp_path: Path) -> None:
@@ -610,7 +623,7 @@ def test_sqlite_bags_are_read_alike(tmp_path: Path) -> None:
     assert not reader.truncated
     database = next((tmp_path / "db").glob("*.db3"))
     database.write_bytes(database.read_bytes()[:3000])
-    with pytest.raises(BagError, match="cannot be read"):
+    with pytest.raises(BagError, match="cut off at byte 3000 of"):
         read_commands(tmp_path / "db")
 
 
@@ -653,8 +666,6 @@ def test_empty_foreign_and_missing_bags_are_refused(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "yaml").mkdir()
     (tmp_path / "yaml" / "metadata.yaml").write_text("a: [")
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "metadata.yaml").write_text("a: 1")
     gone = write_poses(tmp_path / "gone", 3)
     mcap_file(gone).unlink()
     _foreign(tmp_path / "ros1.mcap", "ros1", "ros1")
@@ -664,8 +675,7 @@ def test_empty_foreign_and_missing_bags_are_refused(tmp_path: Path) -> None:
         "noise.mcap": "not an MCAP file",
         "missing": "no such bag",
         "folder": "not a bag",
-        "yaml": "not YAML",
-        "other": "no rosbag2_bagfile_information",
+        "yaml": "not a bag",
         "gone": "gone_0.mcap is named in metadata.yaml but is not there",
         "ros1.mcap": "profile 'ros1'",
         "json.mcap": "no ROS 2 messages",
