@@ -12,6 +12,7 @@ import numpy as np
 from ...arrays import Floats
 from ...errors import BagError, SceneError
 from ...scene import Pose, checked_pose
+from .. import cdr
 from ..course import Course, Figures, figures
 from ..mcap_files import MAGIC
 from ..reader import START, absolute, require_absent, write_commands
@@ -103,6 +104,11 @@ def import_poses(
         except SceneError as error:
             advice = "; --scale or --offset may bring it near" if error.key == "position" else ""
             raise BagError(f"{place}: {error}{advice}") from None
+    latest = cdr.STAMPS_END - START
+    if course.time[-1] >= latest:
+        place = recorded.places[int(np.searchsorted(course.time, latest))]
+        span = f"{course.time[-1] * 1e-9:.6g} s after the first pose, allowed: below {latest * 1e-9:.6g} s"
+        raise BagError(f"{place}: {span}, as messages are stamped; a clock that was set, or stray poses before?")
     if changes.resample is not None:
         course = _resampled(course, changes.resample)
     times = [START + int(time) for time in course.time]
