@@ -156,13 +156,18 @@ class _Moment:
         self._value: Value | None = None
 
     def value(self, kind: Kind) -> Value:
-        """Its numbers. Raises BagError when its bytes are not what its type says."""
+        """Its numbers; none, far from all others, where its bytes are not what its type says.
+
+        Raises BagError for numbers that cannot be compared.
+        """
         if self._value is None:
             where = f"{self.path}: topic {self.message.topic}, message {self.number}"
             try:
                 self._value = kind.value(cdr.deserialize(self.message.data, self.message.type))
-            except (BagError, ValueError) as error:
+            except BagError as error:
                 raise BagError(f"{where}: {error}") from None
+            except ValueError:
+                self._value = Value("", ())
         return self._value
 
 
@@ -194,8 +199,8 @@ class _Pair:
             self._unpaired[side].append(_Moment(moment.path, time, moment.number, message._replace(data=digest)))
             if self._unpaired[1 - side]:
                 self._match(*(queue.popleft() for queue in self._unpaired))
-        if self._meter is not None and self._kind is not None:
-            self._meter.take(side, time, moment.value(self._kind).parts[0][0])
+        if self._meter is not None and self._kind is not None and (parts := moment.value(self._kind).parts):
+            self._meter.take(side, time, parts[0][0])
         if self._single:
             self._take_single(side, moment)
         elif side == 0:
@@ -284,6 +289,12 @@ class _Pair:
         same = share == 0.0 and a.message.data == before.message.data
         low = one if same else before.value(kind)
         high = after.value(kind) if share > 0.0 else low
+        if not (one.parts and low.parts and high.parts):
+            if not same:
+                for difference in self.out.differences:
+                    difference.max, difference.max_time = math.inf, 1e-9 * a.time
+                self.out.first = self.out.first or _when(a, "a message that cannot be decoded")
+            return
         for i, difference in enumerate(self.out.differences):
             turn = kind.quantities[i] == TURN
             difference.peak = max(difference.peak, largest_of(one.parts[i], turn))

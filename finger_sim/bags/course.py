@@ -170,9 +170,9 @@ def doubts(found: Figures) -> list[str]:
     if found.rate and not SLOWEST_RATE <= found.rate <= FASTEST_RATE:
         said.append(f"{found.rate:.3g} poses a second: times in another unit? import --time-unit")
     if (gap := found.longest_gap).value > GAP_TOLD:
-        what = f"no pose for {gap.value:.6g} s from {gap.at:.3f} s on: a clock that was set, or stray poses?"
-        ways = "--start begins after it, --duration ends before it, --allow-gaps takes it"
-        said.append(what + (f" run with {ways}" if gap.value > GAP_ALLOWED else ""))
+        what = f"no pose for {gap.value:.9g} s from {gap.at:.3f} s on: a clock that was set, or stray poses?"
+        ways = " run and play need --start, --duration or --allow-gaps"
+        said.append(what + (ways if gap.value > GAP_ALLOWED else ""))
     if not far and found.depth.value <= 0.0:
         said.append(f"never touches: import --offset z={found.depth.value:.4f} brings the lowest pose to the plane")
     if not far and found.depth.value > DEEPEST:

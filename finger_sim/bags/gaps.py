@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from ..errors import BagError
+from .cdr import STAMPS_END
 
 GAP_TOLD = 60.0
 """Longest time between two messages that nothing is said of [s].
@@ -40,7 +41,7 @@ class Gap(NamedTuple):
         return (self.end - self.begin) * 1e-9
 
     def __str__(self) -> str:
-        return f"{self.seconds:.6g} s without a message before message {self.number} on {self.topic}"
+        return f"{self.seconds:.9g} s without a message before message {self.number} on {self.topic}"
 
 
 def gaps_in(received: Iterable[tuple[int, str, int]]) -> Iterator[Gap]:
@@ -67,8 +68,8 @@ def require_allowed(where: object, gaps: Iterable[Gap], zero: int, start: int) -
     longest = max(gaps, key=lambda gap: gap.end - gap.begin, default=None)
     if longest is None or longest.seconds <= GAP_ALLOWED:
         return
-    after, before = -((zero - longest.end) // 1_000), (longest.begin - start) // 1_000  # whole microseconds
-    ways = f"--start {after * 1e-6:.6f} begins after it"
-    ways += f", --duration {before * 1e-6:.6f} ends before it" if before > 0 else ""
+    after, before = (longest.end - zero) // 1_000 + 2, (longest.begin - start) // 1_000  # whole microseconds
+    ways = [f"--start {after * 1e-6:.6f} begins after it"] if longest.end < STAMPS_END else []
+    ways += [f"--duration {before * 1e-6:.6f} ends before it"] if before > 0 else []
     allowed = f"allowed: {GAP_ALLOWED:g} s, or any with --allow-gaps"
-    raise BagError(f"{where}: {longest}, {allowed}; a clock that was set, or stray messages? {ways}")
+    raise BagError(f"{where}: {longest}, {allowed}; a clock that was set, or stray messages? {', '.join(ways)}")

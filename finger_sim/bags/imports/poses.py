@@ -97,6 +97,7 @@ def import_poses(
     _check(changes)
     require_absent(out)
     recorded = _read(source, reading)
+    _require_stamps(recorded)
     course, notes = _changed(recorded, changes)
     for place, p, q in zip(recorded.places, course.position.tolist(), course.orientation.tolist(), strict=True):
         try:
@@ -104,11 +105,6 @@ def import_poses(
         except SceneError as error:
             advice = "; --scale or --offset may bring it near" if error.key == "position" else ""
             raise BagError(f"{place}: {error}{advice}") from None
-    latest = cdr.STAMPS_END - START
-    if course.time[-1] >= latest:
-        place = recorded.places[int(np.searchsorted(course.time, latest))]
-        span = f"{course.time[-1] * 1e-9:.6g} s after the first pose, allowed: below {latest * 1e-9:.6g} s"
-        raise BagError(f"{place}: {span}, as messages are stamped; a clock that was set, or stray poses before?")
     if changes.resample is not None:
         course = _resampled(course, changes.resample)
     times = [START + int(time) for time in course.time]
@@ -124,6 +120,16 @@ def import_poses(
         notes=(*recorded.notes, *notes),
         warnings=recorded.warnings,
     )
+
+
+def _require_stamps(recorded: Recorded) -> None:
+    """Raises BagError for a pose so long after the first that no message could be stamped with it."""
+    most = cdr.STAMPS_END - START
+    late = next((i for i, time in enumerate(recorded.time) if time >= most), None)
+    if late is not None:
+        span = f"{recorded.time[late] * 1e-9:.9g} s after the first pose, allowed: below {most * 1e-9:.9g} s"
+        advice = "a clock that was set, or stray poses? --clock takes other times of a bag"
+        raise BagError(f"{recorded.places[late]}: {span}; {advice}")
 
 
 def _read(source: Path, reading: Reading) -> Recorded:
