@@ -41,7 +41,8 @@ class Gap(NamedTuple):
         return (self.end - self.begin) * 1e-9
 
     def __str__(self) -> str:
-        return f"{self.seconds:.9g} s without a message before message {self.number} on {self.topic}"
+        seconds = f"{self.seconds:.3f}".rstrip("0").rstrip(".")
+        return f"{seconds} s without a message before message {self.number} on {self.topic}"
 
 
 def gaps_in(received: Iterable[tuple[int, str, int]]) -> Iterator[Gap]:

@@ -87,7 +87,7 @@ class Replay:
         """Steps to be made, those too that are passed over in gaps."""
         if self._last() + nanoseconds(1, self.scene.dt) >= cdr.STAMPS_END:
             where = f"{self.reader.path}: topic {self.commands.topic}"
-            allowed = "allowed: below 2^31 s, as messages are stamped"
+            allowed = "allowed: below 2^31 s, as messages are stamped; --duration can end before it"
             raise BagError(f"{where}: got a log time of {self._last() * 1e-9:.9g} s, {allowed}")
         self.remains: str | None = None
         """What is left of a run that did not come to its end."""

@@ -35,10 +35,11 @@ def on_a_clock(
     while k < count:
         end = nanoseconds(k + 1, dt)
         yield Moment(begin, end, arrivals.up_to(start + begin), k + 1)
+        heard = start + begin
         k, begin = k + 1, end
-        while gap is not None and gap.end <= start + begin:
+        while gap is not None and gap.end <= heard:
             gap = next(gaps, None)
-        if gap is not None and gap.begin <= start + begin:
+        if gap is not None and gap.begin <= heard:
             wake = min(gap.end, unchanged()) - start
             if wake > begin:
                 k = max(k, steps_to(math.floor(wake), dt) - 2)

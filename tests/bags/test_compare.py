@@ -16,7 +16,7 @@ from finger_sim.bags import cdr
 from finger_sim.bags.compare import compare
 from finger_sim.bags.comparison import TopicComparison
 from finger_sim.bags.layout import POINT_DTYPE
-from finger_sim.bags.reader import BagWriter
+from finger_sim.bags.reader import BagReader, BagWriter
 from finger_sim.bags.verdict import verdict
 from finger_sim.cli import main
 from finger_sim.errors import BagError
@@ -308,14 +308,40 @@ def test_of_what_stands_still_no_lag_is_told(tmp_path: Path) -> None:
     assert (far.seconds, far.beyond) == (pytest.approx(0.1), True)
 
 
-def test_broken_messages_are_named(tmp_path: Path) -> None:
-    """Bag, topic and message."""
-    a = wrenches(tmp_path / "a", n=1)
-    with BagWriter(tmp_path / "b") as bag:
-        bag.add_topic("contact_wrench", cdr.WRENCH_STAMPED)
-        bag.write("contact_wrench", b"\x00\x01\x00\x00abc", START)
-    with pytest.raises(BagError, match=r"/b: topic /contact_wrench, message 1: "):
-        compare(a, tmp_path / "b")
+def test_a_broken_message_is_equal_to_itself_only(tmp_path: Path) -> None:
+    """It ends no comparison, is never equal within a tolerance to what has other bytes, and is named."""
+    a = wrenches(tmp_path / "a")
+    for name, broken in (("b", b"\x00\x01\x00\x00abc"), ("c", b"\x00\x01\x00\x00abd")):
+        with BagWriter(tmp_path / name) as bag:
+            bag.add_topic("contact_wrench", cdr.WRENCH_STAMPED)
+            for number, message in enumerate(BagReader(a), start=1):
+                bag.write("contact_wrench", broken if number == 7 else message.data, message.log_time)
+    for one, other in (("a", "b"), ("b", "a"), ("b", "c")):
+        for tolerance in (None, 1e9):
+            found = compare(tmp_path / one, tmp_path / other, tolerance=tolerance)
+            assert not found.equal
+            assert "(message 7)" in str(found.topics[0].first)
+    assert compare(tmp_path / "b", tmp_path / "b", tolerance=0.0).equal
+    assert compare(tmp_path / "b", tmp_path / "b").equal
+
+
+def test_days_between_two_messages_are_no_signal(tmp_path: Path) -> None:
+    """The lag is that of what was recorded on both sides of a gap of 30 years; nothing is taken in between."""
+
+    def far(t: float) -> float:
+        return math.sin(20.0 * t)
+
+    for name, lag in (("a", 0.0), ("b", 0.012)):
+        with BagWriter(tmp_path / name) as bag:
+            bag.add_topic("contact_wrench", cdr.WRENCH_STAMPED)
+            for begin in (0.0, 1e9):
+                for k in range(400):
+                    t = 0.005 * k
+                    data = cdr.wrench_stamped(0, "world", [far(t - lag), 0.0, 0.0, 0.0, 0.0, 0.0])
+                    bag.write("contact_wrench", data, round((begin + t) * 1e9))
+    found = compare(tmp_path / "a", tmp_path / "b", tolerance=10.0).topics[0].lag
+    assert found is not None
+    assert found.seconds == pytest.approx(0.012, abs=1e-3)
 
 
 def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -166,6 +166,43 @@ def test_bytes_that_are_no_pose_are_refused(data):
         poses.read_pose(data)
 
 
+def test_bytes_are_judged_as_rclpy_judges_them():
+    """Cut anywhere, with any byte changed, in either order of bytes: what rclpy reads is read alike."""
+    store, kind = get_typestore(Stores.ROS2_JAZZY), "geometry_msgs/msg/PoseStamped"
+    whole = bytes(serialize_message(pose_message((1.0, 2.0, 3.0), (0.1, 0.2, 0.3, 0.4))))
+    swapped = bytes(store.serialize_cdr(store.deserialize_cdr(whole, kind), kind, little_endian=False))
+    for data in (whole, swapped):
+        tried = [data[:n] for n in range(len(data))] + [data + bytes(n) for n in range(9)]
+        for _ in range(500):
+            changed = bytearray(data)
+            for at in RNG.integers(2, len(data), 2):
+                changed[at] = RNG.choice([0, 1, 8, 127, 255, RNG.integers(256)])
+            tried.append(bytes(changed))
+        for each in tried:
+            assert _said_by_rclpy(each) == _said_by_us(each), each.hex()
+
+
+def _said_by_us(data):
+    try:
+        said = poses.read_pose(data)
+    except ValueError:
+        return None
+    return said.stamp, said.frame_id, np.array(said.values).tobytes()
+
+
+def _said_by_rclpy(data):
+    """None for what it does not read, and for a stamp that is no time."""
+    try:
+        message = deserialize_message(data, PoseStamped)
+    except Exception:
+        return None
+    p, q, stamp = message.pose.position, message.pose.orientation, message.header.stamp
+    if stamp.sec < 0 or stamp.nanosec >= 1_000_000_000:
+        return None
+    nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
+    return nanoseconds, message.header.frame_id, np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]).tobytes()
+
+
 def test_a_stamp_that_is_no_time_is_refused():
     """In either order of bytes; the latest that is one is taken, and can be sent."""
     store, kind = get_typestore(Stores.ROS2_JAZZY), "geometry_msgs/msg/PoseStamped"
