@@ -57,11 +57,10 @@ def definition(msgtype: str) -> tuple[str, str]:
 
 def deserialize(data: bytes, msgtype: str) -> Any:
     """The message in CDR bytes; ValueError says what is wrong with them."""
-    from rosbags.serde import SerdeError
-
+    store = typestore()
     try:
-        return typestore().deserialize_cdr(data, msgtype)
-    except SerdeError as error:
+        return store.deserialize_cdr(data, msgtype)
+    except Exception as error:  # whatever the bytes make the library do
         raise ValueError(str(error)) from None
 
 

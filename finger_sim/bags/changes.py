@@ -7,11 +7,12 @@ with it: parameters on /parameter_events as rclpy publishes them, resets on a to
 from __future__ import annotations
 
 import copy
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from ..errors import BagError, SceneError
+from ..errors import SceneError
 from ..scene import Scene
 from ..scene.reference import dotted
 from ..scene.ros_values import from_ros
@@ -41,39 +42,61 @@ class Change(NamedTuple):
     """Back to rest at the last command."""
     message: Message
     """As it was recorded."""
+    number: int
+    """Of the message on its topic, from 1 on."""
+
+    @property
+    def place(self) -> str:
+        """As warnings name it."""
+        return _place(self.message, self.number)
 
 
-def changes_in(reader: BagReader) -> list[Change]:
-    """All changes of a bag in the order in which they were made. Raises BagError for one that cannot be read."""
+def changes_in(reader: BagReader) -> tuple[list[Change], list[str]]:
+    """All changes of a bag in the order in which they were made; and of messages that say none, where and why."""
     topics = [topic.name for topic in reader.topics if topic.count and _tells_changes(topic.name, topic.type)]
     if not topics:
-        return []
+        return [], []
     scene_keys = {name: spec for name, spec, _ in dotted(Scene) if spec.live}
-    out = []
+    out, left_out = [], []
+    numbers: Counter[str] = Counter()
     for message in reader.messages(topics):
         if not _tells_changes(message.topic, message.type):
             continue
+        numbers[message.topic] += 1
+        number = numbers[message.topic]
         scene: dict[str, Any] = {}
         options: dict[str, Any] = {}
         reset = message.type == cdr.EMPTY
-        for name, value in () if reset else _set_values(reader, message):
+        try:
+            values = {} if reset else dict(_set_values(message.data))
+        except ValueError as error:
+            left_out.append(f"{_place(message, number)}: {error}")
+            continue
+        for name, value in values.items():
             if name in scene_keys:
                 scene[name] = from_ros(value, scene_keys[name])
             else:
                 options[name] = value
-        out.append(Change(message.log_time, scene, options, reset, message))
-    return out
+        out.append(Change(message.log_time, scene, options, reset, message, number))
+    return out, left_out
 
 
-def changed(reader: BagReader, scene: Scene, changes: Iterable[Change]) -> Scene:
-    """The scene after these changes. Raises BagError for a value that the scene refuses."""
+def accepted(scene: Scene, changes: Iterable[Change]) -> tuple[list[Change], list[str]]:
+    """Those that the scene takes one after another, as a node has; and of the others, where and why not."""
+    good, left_out = [], []
     for change in changes:
         try:
-            scene = scene.with_values(change.scene) if change.scene else scene
+            scene = changed(scene, [change])
+            good.append(change)
         except SceneError as error:
-            raise BagError(
-                f"{reader.path}: topic {change.message.topic}: a recorded change is refused: {error}"
-            ) from None
+            left_out.append(f"{change.place}: {error}")
+    return good, left_out
+
+
+def changed(scene: Scene, changes: Iterable[Change]) -> Scene:
+    """The scene after these changes. Raises SceneError for a value that it refuses."""
+    for change in changes:
+        scene = scene.with_values(change.scene) if change.scene else scene
     return scene
 
 
@@ -117,12 +140,13 @@ def _tells_changes(name: str, kind: str) -> bool:
     return (name == EVENTS and kind == cdr.PARAMETER_EVENT) or (name.endswith(f"/{RESET}") and kind == cdr.EMPTY)
 
 
-def _set_values(reader: BagReader, message: Message) -> Iterator[tuple[str, Any]]:
-    """Names and values that a ParameterEvent tells of."""
-    try:
-        event = cdr.deserialize(message.data, cdr.PARAMETER_EVENT)
-    except ValueError as error:
-        raise BagError(f"{reader.path}: topic {message.topic}: {error}") from None
+def _place(message: Message, number: int) -> str:
+    return f"topic {absolute(message.topic)}, message {number}"
+
+
+def _set_values(data: bytes) -> Iterator[tuple[str, Any]]:
+    """Names and values that a ParameterEvent tells of. Raises ValueError for bytes that are none."""
+    event = cdr.deserialize(data, cdr.PARAMETER_EVENT)
     for parameter in (*event.new_parameters, *event.changed_parameters):
         if parameter.value.type in cdr.PARAMETER_FIELDS:
             value = getattr(parameter.value, cdr.PARAMETER_FIELDS[parameter.value.type])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Floats
+from .gaps import GAP_ALLOWED, GAP_TOLD
 
 FARTHEST_REACH = 1.5
 """Longest way along an axis that a hand goes without its owner walking [m]."""
@@ -168,6 +169,10 @@ def doubts(found: Figures) -> list[str]:
         said.append(f"moves at {top.value:.3g} m/s at {top.at:.3f} s ({usually}), faster than a hand: {why}")
     if found.rate and not SLOWEST_RATE <= found.rate <= FASTEST_RATE:
         said.append(f"{found.rate:.3g} poses a second: times in another unit? import --time-unit")
+    if (gap := found.longest_gap).value > GAP_TOLD:
+        what = f"no pose for {gap.value:.9g} s from {gap.at:.3f} s on: a clock that was set, or stray poses?"
+        ways = " run and play need --start, --duration or --allow-gaps"
+        said.append(what + (ways if gap.value > GAP_ALLOWED else ""))
     if not far and found.depth.value <= 0.0:
         said.append(f"never touches: import --offset z={found.depth.value:.4f} brings the lowest pose to the plane")
     if not far and found.depth.value > DEEPEST:

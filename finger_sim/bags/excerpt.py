@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from ..errors import BagError
 from ..scene import Pose
-from .cdr import POSE_STAMPED
-from .reader import LONGEST_SPAN_SECONDS, BagReader, Message, command_topic, plane_topic, pose_row
+from . import cdr
+from .poses import PoseRow, pose_row, usual_frame
+from .reader import BagReader, Message, command_topic, plane_topic
 
 
 class Received(NamedTuple):
@@ -20,6 +20,8 @@ class Received(NamedTuple):
     """[ns]"""
     pose: Pose
     """Its quaternion at length one."""
+    number: int
+    """Of its message on the topic, from 1 on."""
 
 
 class Tally(NamedTuple):
@@ -31,6 +33,8 @@ class Tally(NamedTuple):
     """Log time of the first good pose [ns]; 0 where there is none."""
     last: int
     """Of the last one."""
+    refusal: str | None = None
+    """Why the first of the refused is refused, with the number of its message."""
 
 
 @dataclass(frozen=True)
@@ -48,59 +52,62 @@ class Excerpt:
     """Log time [ns]; None: from the first message on."""
     end: int | None = None
     """Log time [ns], included; None: to the last message."""
-    held: Message | None = None
-    """What holds at `begin`."""
+    held: tuple[int, Message] | None = None
+    """What holds at `begin`, and its number on the topic."""
 
     def cut(self, begin: int | None, end: int | None) -> Excerpt:
         """The window from `begin` to `end`, log times [ns]; None leaves a side open."""
         held = None
         if begin is not None:
-            for message, pose in self._judged():
-                if message.log_time > begin:
+            for row in self._rows():
+                if row.message.log_time > begin:
                     break
-                if isinstance(pose, Received):
-                    held = message._replace(log_time=begin)
+                if isinstance(row.judged(self.frame_id), Pose):
+                    held = row.number, row.message._replace(log_time=begin)
         return replace(self, begin=begin, end=end, held=held)
 
     def messages(self) -> Iterator[Message]:
-        """All its poses as they were recorded, refused ones too, in the order of their receipt."""
-        if self.held is not None:
-            yield self.held
-        for message in self.reader.messages([self.topic], POSE_STAMPED):
-            if self.end is not None and message.log_time > self.end:
-                return
-            if self.begin is None or message.log_time > self.begin:
-                yield message
+        """All messages of poses as they were recorded, refused ones too, in the order of their receipt."""
+        return (message for _, message in self._selected())
 
     def poses(self) -> Iterator[Received]:
         """The good ones."""
-        return (pose for _, pose in self._judged() if isinstance(pose, Received))
+        for row in self._rows():
+            pose = row.judged(self.frame_id)
+            if isinstance(pose, Pose):
+                yield Received(row.message.log_time, pose, row.number)
 
-    def first_refusal(self) -> str:
-        """Why the first refused one is refused."""
-        refusals = (reason for _, reason in self._judged() if isinstance(reason, str))
-        return next(refusals, "")
+    def times(self) -> Iterator[tuple[int, str, int]]:
+        """Of the good ones: log time [ns], topic and number of the message."""
+        return ((pose.log_time, self.topic, pose.number) for pose in self.poses())
 
     def tally(self) -> Tally:
         """Counts, and between when."""
         good = refused = first = last = 0
-        for message, pose in self._judged():
-            if isinstance(pose, str):
-                refused += 1
-                continue
-            first = message.log_time if good == 0 else first
-            last = message.log_time
-            good += 1
-        return Tally(good, refused, first, last)
-
-    def _judged(self) -> Iterator[tuple[Message, Received | str]]:
-        """Each message with its pose, or with why that is refused. Raises BagError for one that is no pose."""
-        for number, message in enumerate(self.messages(), start=1):
-            pose = pose_row(self.reader, message, number).judged(self.frame_id)
+        refusal = None
+        for row in self._rows():
+            pose = row.judged(self.frame_id)
             if isinstance(pose, Pose):
-                yield message, Received(message.log_time, pose)
+                last = row.message.log_time
+                first = last if good == 0 else first
+                good += 1
             else:
-                yield message, f"message {number}: {pose}"
+                refused += 1
+                refusal = refusal or f"message {row.number}: {pose}"
+        return Tally(good, refused, first, last, refusal)
+
+    def _rows(self) -> Iterator[PoseRow]:
+        return (pose_row(number, message) for number, message in self._selected())
+
+    def _selected(self) -> Iterator[tuple[int, Message]]:
+        """The messages in the window, with their numbers on the topic."""
+        if self.held is not None:
+            yield self.held
+        for number, message in enumerate(self.reader.messages([self.topic], cdr.POSE_STAMPED), start=1):
+            if self.end is not None and message.log_time > self.end:
+                return
+            if self.begin is None or message.log_time > self.begin:
+                yield number, message
 
 
 class Arrivals:
@@ -119,24 +126,22 @@ class Arrivals:
         return came
 
 
-def commands_in(reader: BagReader, topic: str | None = None) -> tuple[Excerpt, Tally]:
+def commands_in(reader: BagReader, topic: str | None = None, frame_id: str | None = None) -> tuple[Excerpt, Tally]:
     """The commanded poses in a bag, and what there is of them.
 
-    topic : as for `read_commands`
-    Raises BagError as `read_commands` does.
+    topic    : as for `read_commands`
+    frame_id : of the good ones; None: that of most
+    Raises BagError as `read_commands` does, whatever gaps there are.
     """
     chosen = command_topic(reader, topic)
-    messages = reader.messages([chosen], POSE_STAMPED)
-    frames = Counter(pose_row(reader, message, number).frame_id for number, message in enumerate(messages, start=1))
-    if not frames:
-        raise BagError(f"{reader.path}: topic {chosen} has no message")
-    commands = Excerpt(reader, chosen, frames.most_common(1)[0][0])
+    where = f"{reader.path}: topic {chosen}"
+    if frame_id is None:
+        messages = reader.messages([chosen], cdr.POSE_STAMPED)
+        frame_id = usual_frame(where, (pose_row(number, message) for number, message in enumerate(messages, start=1)))
+    commands = Excerpt(reader, chosen, frame_id)
     tally = commands.tally()
     if not tally.good:
-        raise BagError(f"{reader.path}: topic {chosen} has no good command; {commands.first_refusal()}")
-    if (span := (tally.last - tally.first) * 1e-9) > LONGEST_SPAN_SECONDS:
-        allowed = f"allowed: {LONGEST_SPAN_SECONDS:g} s"
-        raise BagError(f"{reader.path}: topic {chosen}: log times span {span:.3g} s, {allowed}")
+        raise BagError(f"{where} has no good command; {tally.refusal}" if tally.refusal else f"{where} has no message")
     return commands, tally
 
 

@@ -7,6 +7,7 @@ between two shifts b is the mean of both, weighted, so that the least square the
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,10 @@ STEP = 1_000_000
 """Time between two moments [ns]: a step of a haptic loop."""
 REACH = 100_000_000
 """Largest shift that is tried [ns]: more is no delay of a loop."""
+LONGEST_PAUSE = 10_000_000_000
+"""Time between two messages from which on nothing is taken in between [ns]: a line across it is no signal."""
+MOST_AT_ONCE = 1 << 16
+"""Moments that are summed up together: some megabytes, however far apart messages are."""
 BLOCK = 4096
 """Messages after which what can be summed up is, and forgotten."""
 FAINTEST = 0.01
@@ -95,6 +100,29 @@ class LagMeter:
         begin, end = self._next, min(ours[-1] // STEP, theirs[-1] // STEP - reach) + 1
         if end <= begin:
             return
+        for first, last in self._runs(begin, end):
+            self._sum_run(first, last)
+        self._next = end
+        self._forget(0, end * STEP)
+        self._forget(1, (end - reach) * STEP)
+
+    def _runs(self, begin: int, end: int) -> Iterator[tuple[int, int]]:
+        """The moments from `begin` up to `end` but for those in long pauses, MOST_AT_ONCE at a time."""
+        pauses = []
+        for times, reach in zip(self._times, (0, self._reach), strict=True):
+            kept = np.array(times, dtype=np.float64)
+            for i in np.flatnonzero(np.diff(kept) > LONGEST_PAUSE).tolist():
+                pauses.append((times[i] // STEP + 1 - reach, times[i + 1] // STEP + 1 + reach))
+        for first, last in [*sorted(pauses), (end, end)]:
+            while begin < min(first, end):
+                stop = min(begin + MOST_AT_ONCE, first, end)
+                yield begin, stop
+                begin = stop
+            begin = max(begin, last)
+
+    def _sum_run(self, begin: int, end: int) -> None:
+        """The moments from `begin` up to `end`."""
+        reach = self._reach
         a, b = self._at(0, begin, end), self._at(1, begin - reach, end + reach)
         before = None
         for shift in range(2 * reach + 1):
@@ -104,9 +132,6 @@ class LagMeter:
                 self._products[shift - 1] += before @ apart
             before = apart
         self._count += end - begin
-        self._next = end
-        self._forget(0, end * STEP)
-        self._forget(1, (end - reach) * STEP)
 
     def _at(self, side: int, begin: int, end: int) -> Floats:
         """The signal at the moments from `begin` up to `end` (n, d)."""

@@ -6,21 +6,22 @@ it. Times are integer nanoseconds: `log_time` is when a message was received, `p
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import BagError, SceneError
-from ..scene import Pose, checked_pose
+from ..errors import BagError
+from ..scene import Pose
 from . import cdr
+from .gaps import Gap, gaps_in, require_allowed
 from .interrupts import deferred
 from .message import Message, Topic
 from .metadata import Qos
+from .poses import PoseRow, pose_row, usual_frame
 from .sources import Opened
 from .writer import FLUSH_PERIOD, BagWriter, Compression, absolute, require_absent
 
@@ -44,9 +45,6 @@ __all__ = [
 
 START = 1_767_225_600_000_000_000
 """When bags that saw no clock begin [ns]: 2026-01-01 00:00 UTC, the same every time."""
-
-LONGEST_SPAN_SECONDS = 1e6
-"""Longest time between two commands of a bag that is believed: more comes of a broken or mixed-up clock."""
 
 
 def write_commands(
@@ -134,8 +132,8 @@ class Commands:
     """The commanded poses of a bag, in the order of their receipt.
 
     Repeated stamps, gaps and sign flips of quaternions (q and −q are one rotation) are kept as recorded.
-    A pose that `checked_pose` refuses, as the node does, or one in another frame than `frame_id` is left out and
-    counted in `refused`: the last good command holds.
+    A message that the node refuses, as `bags.poses` judges, is left out and counted in `refused`: the last good command
+    holds.
     """
 
     topic: str
@@ -155,6 +153,8 @@ class Commands:
     """Why the first of the refused was refused."""
     warning: str | None = None
     """What was wrong with the bag, if it was cut off."""
+    gaps: tuple[Gap, ...] = ()
+    """Times without a good command that are longer than `gaps.GAP_TOLD`."""
 
     def __len__(self) -> int:
         return len(self.receipt_ns)
@@ -169,42 +169,66 @@ class Commands:
         """Time from the first to the last command [s]."""
         return float(self.receipt_ns[-1]) * 1e-9
 
+    def window(self, start: float, duration: float | None = None) -> Commands:
+        """Those from `start` [s] on, for `duration`, ends included; the newest by its beginning comes right then.
 
-def read_commands(path: str | Path, topic: str | None = None) -> Commands:
+        Raises BagError for a start past the last command.
+        """
+        if not 0.0 <= start <= self.duration:
+            raise BagError(f"start: got {start:.9g} s, allowed: 0 to {self.duration:.9g} s, where the commands end")
+        begin = round(start * 1e9)
+        last = int(self.receipt_ns[-1])
+        end = last if duration is None else min(begin + round(duration * 1e9), last)
+        kept = slice(
+            int(np.searchsorted(self.receipt_ns, begin, side="right")) - 1,
+            int(np.searchsorted(self.receipt_ns, end, side="right")),
+        )
+        return replace(
+            self,
+            start=self.start + begin,
+            receipt_ns=np.maximum(self.receipt_ns[kept] - begin, 0),
+            stamp=self.stamp[kept] - self.stamp[kept][0],
+            position=self.position[kept],
+            orientation=self.orientation[kept],
+            gaps=tuple(gap for gap in self.gaps if gap.end - self.start > begin and gap.end - self.start <= end),
+        )
+
+
+def read_commands(path: str | Path, topic: str | None = None, *, allow_gaps: bool = False) -> Commands:
     """The commanded poses in a bag.
 
-    topic : of type PoseStamped; if left out `command_pose` (in any namespace), else the only one but the plane's poses
-    Raises BagError when there is no such topic, more than one, another type, or no good command on it.
+    topic      : of type PoseStamped; if left out `command_pose` (in any namespace), else the only one but the plane's
+    allow_gaps : take also what has gaps longer than `gaps.GAP_ALLOWED`
+    Raises BagError when there is no such topic, more than one, another type, no good command on it, or such a gap.
     """
-    return commands_of(BagReader(path), topic)
+    return commands_of(BagReader(path), topic, allow_gaps=allow_gaps)
 
 
-def commands_of(reader: BagReader, topic: str | None = None) -> Commands:
+def commands_of(reader: BagReader, topic: str | None = None, *, allow_gaps: bool = False) -> Commands:
     """As `read_commands`, of a bag that is already open."""
     chosen = command_topic(reader, topic)
-    rows = _read_poses(reader, chosen)
-    if not rows:
-        raise BagError(f"{reader.path}: topic {chosen} has no message")
-    frame_id = Counter(row.frame_id for row in rows).most_common(1)[0][0]
+    rows = _rows(reader, chosen)
+    frame_id = usual_frame(f"{reader.path}: topic {chosen}", rows)
     good, refusals = _good_ones(rows, frame_id)
     if not good:
         raise BagError(f"{reader.path}: topic {chosen} has no good command; {refusals[0]}")
     start, first_stamp = good[0].log_time, good[0].stamp
-    if (span := (good[-1].log_time - start) * 1e-9) > LONGEST_SPAN_SECONDS:
-        allowed = f"allowed: {LONGEST_SPAN_SECONDS:g} s"
-        raise BagError(f"{reader.path}: topic {chosen}: log times span {span:.3g} s, {allowed}")
+    gaps = list(gaps_in((row.log_time, chosen, row.number) for row in good))
+    if not allow_gaps:
+        require_allowed(reader.path, gaps, start, start)
     position, orientation = _arrays(good)
     return Commands(
         topic=chosen,
         frame_id=frame_id,
         start=start,
-        receipt_ns=np.array([row.log_time - start for row in good], dtype=np.int64),
+        receipt_ns=_since(reader, good, start),
         stamp=np.array([(row.stamp - first_stamp) * 1e-9 for row in good]),
         position=position,
         orientation=orientation,
         refused=len(refusals),
         refusal=refusals[0] if refusals else None,
         warning=reader.warning,
+        gaps=tuple(gaps),
     )
 
 
@@ -234,63 +258,48 @@ def plane_poses_of(reader: BagReader, commands: Commands, topic: str | None = No
     chosen = plane_topic(reader, commands.topic, topic)
     if chosen is None:
         return None
-    good, refusals = _good_ones(_read_poses(reader, chosen), commands.frame_id)
+    good, refusals = _good_ones(_rows(reader, chosen), commands.frame_id)
     position, orientation = _arrays(good)
-    farthest = max((abs(row.log_time - commands.start) for row in good), default=0) * 1e-9
-    if farthest > LONGEST_SPAN_SECONDS:
-        far = f"{farthest:.3g} s away from the first command, allowed: {LONGEST_SPAN_SECONDS:g} s"
-        raise BagError(f"{reader.path}: topic {chosen}: a log time is {far}")
-    receipt = np.array([row.log_time - commands.start for row in good], dtype=np.int64)
-    return PlanePoses(chosen, receipt, position, orientation, len(refusals))
+    return PlanePoses(chosen, _since(reader, good, commands.start), position, orientation, len(refusals))
 
 
-class PoseRow(NamedTuple):
-    """One recorded pose; times [ns]."""
+def _rows(reader: BagReader, topic: str) -> list[PoseRow]:
+    """All messages of poses on a topic."""
+    messages = reader.messages([topic], cdr.POSE_STAMPED)
+    return [pose_row(number, message) for number, message in enumerate(messages, start=1)]
 
+
+class _Good(NamedTuple):
+    """A pose that is used; times [ns]."""
+
+    number: int
     log_time: int
     stamp: int
-    frame_id: str
     pose: Pose
-    """As it was sent."""
-
-    def judged(self, frame_id: str) -> Pose | str:
-        """Its pose, at length one; or why it is refused where poses are in `frame_id`."""
-        if self.frame_id != frame_id:
-            return f"frame_id {self.frame_id!r}, not {frame_id!r}"
-        try:
-            return checked_pose(self.pose)
-        except SceneError as error:
-            return str(error)
 
 
-def pose_row(reader: BagReader, message: Message, number: int) -> PoseRow:
-    """The pose in a message, the one of that `number` on its topic; BagError if it is no pose."""
-    where = f"{reader.path}: topic {absolute(message.topic)}, message {number}"
-    if message.type != cdr.POSE_STAMPED:
-        raise BagError(f"{where}: is {message.type}")
-    try:
-        pose = cdr.deserialize(message.data, cdr.POSE_STAMPED)
-    except ValueError as error:
-        raise BagError(f"{where}: {error}") from None
-    p, q, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
-    sent = Pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
-    return PoseRow(message.log_time, stamp.sec * 1_000_000_000 + stamp.nanosec, pose.header.frame_id, sent)
+def _good_ones(rows: Iterable[PoseRow], frame_id: str) -> tuple[list[_Good], list[str]]:
+    """Those to be used, and why the others are not."""
+    good, refusals = [], []
+    for row in rows:
+        pose = row.judged(frame_id)
+        if isinstance(pose, str) or isinstance(row.said, str):
+            refusals.append(f"message {row.number}: {pose}")
+        else:
+            good.append(_Good(row.number, row.message.log_time, row.said.stamp, pose))
+    return good, refusals
 
 
-def _read_poses(reader: BagReader, topic: str) -> list[PoseRow]:
-    """All poses of a topic, without messages of other types; BagError for one that is no pose."""
-    messages = reader.messages([topic], cdr.POSE_STAMPED)
-    return [pose_row(reader, message, number) for number, message in enumerate(messages, start=1)]
+def _since(reader: BagReader, good: Sequence[_Good], start: int) -> NDArray[np.int64]:
+    """(n,) log times since `start` [ns]. Raises BagError for one that no clock shows."""
+    for row in good:
+        if row.log_time >= cdr.STAMPS_END:
+            where = f"{reader.path}: message {row.number}: log time of {row.log_time * 1e-9:.9g} s"
+            raise BagError(f"{where}, allowed: below 2^31 s, as messages are stamped")
+    return np.array([row.log_time - start for row in good], dtype=np.int64)
 
 
-def _good_ones(rows: Sequence[PoseRow], frame_id: str) -> tuple[list[PoseRow], list[str]]:
-    """Those to be used, their poses at length one, and why the others are not."""
-    judged = [row.judged(frame_id) for row in rows]
-    good = [row._replace(pose=pose) for row, pose in zip(rows, judged, strict=True) if isinstance(pose, Pose)]
-    return good, [f"message {i}: {reason}" for i, reason in enumerate(judged, start=1) if isinstance(reason, str)]
-
-
-def _arrays(good: Sequence[PoseRow]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _arrays(good: Sequence[_Good]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions (n, 3) and unit quaternions (n, 4)."""
     position = np.array([each.pose.position for each in good]).reshape(-1, 3)
     return position, np.array([each.pose.orientation for each in good]).reshape(-1, 4)
@@ -321,8 +330,7 @@ def plane_topic(reader: BagReader, commands: str, topic: str | None) -> str | No
         if name == commands:
             raise BagError(f"{reader.path}: topic {name} cannot hold both the commands and the plane's poses")
         return name
-    held = {absolute(topic.name) for topic in reader.topics if topic.type == cdr.POSE_STAMPED and topic.count > 0}
-    candidates = [name for name in _pose_topics(reader) if name.endswith("/plane_pose") and name in held]
+    candidates = [name for name in _pose_topics(reader, counted=True) if name.endswith("/plane_pose")]
     candidates = [name for name in candidates if name != commands]
     beside = f"{commands.rpartition('/')[0]}/plane_pose"
     if beside in candidates:
@@ -336,16 +344,18 @@ def plane_topic(reader: BagReader, commands: str, topic: str | None) -> str | No
 def _named_topic(reader: BagReader, topic: str) -> str:
     """The absolute name of a topic of poses that was asked for."""
     name = absolute(topic)
-    types = [t.type for t in reader.topics if absolute(t.name) == name]
+    types = [each.type for each in reader.topics if absolute(each.name) == name]
     if not types:
         raise BagError(f"{reader.path}: no topic {name}; found {_found(reader)}")
     if cdr.POSE_STAMPED not in types:
-        raise BagError(f"{reader.path}: topic {name} is {', '.join(types)}, allowed: {cdr.POSE_STAMPED}")
+        raise BagError(f"{reader.path}: topic {name} is {types[0]}, allowed: {cdr.POSE_STAMPED}")
     return name
 
 
-def _pose_topics(reader: BagReader) -> list[str]:
-    return list(dict.fromkeys(absolute(topic.name) for topic in reader.topics if topic.type == cdr.POSE_STAMPED))
+def _pose_topics(reader: BagReader, *, counted: bool = False) -> list[str]:
+    """Names of topics of poses, each once; `counted`: of those with messages."""
+    poses = (topic for topic in reader.topics if topic.type == cdr.POSE_STAMPED and (topic.count or not counted))
+    return list(dict.fromkeys(absolute(topic.name) for topic in poses))
 
 
 def _found(reader: BagReader) -> str:

@@ -73,6 +73,9 @@ def _demo(options: argparse.Namespace) -> int:
     return FAILED if failed else DONE
 
 
+ALLOW_GAPS = "take also what has gaps of more than ten minutes between two messages"
+
+
 def add_run(verbs: Any) -> None:
     run = verb(
         verbs,
@@ -113,6 +116,7 @@ def add_run(verbs: Any) -> None:
         help="seconds of the bag from there on: the last step follows the last command or pose of the plane in them "
         "(default: to the end)",
     )
+    add("--allow-gaps", action="store_true", help=ALLOW_GAPS)
 
 
 SET_DOWN = "put on the plane above, from there in 0.1 s"
@@ -131,8 +135,12 @@ def _run(options: argparse.Namespace) -> int:
     bag, name = find_bag(options.bag), "again" if options.scene is None else find_scene(options.scene).stem
     out = options.out or Path(f"{bag.stem}_{name}")
     require_absent(out)
-    selection = Selection(options.topic, options.plane_topic, options.mode, options.start, options.duration)
+    selection = Selection(
+        options.topic, options.plane_topic, options.mode, options.start, options.duration, options.allow_gaps
+    )
     replay = Replay(scene, bag, selection)  # a mistake shows before kernels compile
+    for warning in replay.warnings:
+        say(f"finger_sim: warning: {warning}")
     simulator = Simulator(replay.scene, progress=say)
     try:
         with gauge(f"simulating {bag}") as meter:
@@ -142,16 +150,17 @@ def _run(options: argparse.Namespace) -> int:
             say(f"finger_sim: {replay.remains}")
     if done.warning:
         say(f"finger_sim: warning: {done.warning}")
-    plane = f"{done.plane_poses} poses on {done.plane_topic}, {done.plane_refused} refused"
+    plane = f"{done.plane_poses} poses on {done.plane_topic}, {_refused(done.plane_refused, done.plane_refusal)}"
     moved = [("plane", plane)] if done.plane_topic else []
     status = ", ".join(f"{name} in {steps} steps" for name, steps in done.status.items())
     rows = table()
     for row in (
-        ("commands", f"{done.commands} on {done.topic}, {done.refused} refused"),
+        ("commands", f"{done.commands} on {done.topic}, {_refused(done.refused, done.refusal)}"),
         *moved,
         *_recorded(done),
         *([("start", f"{1e3 * done.set_down_by:.2f} mm inside the plane: {SET_DOWN}")] if done.set_down_by else []),
         ("simulated", f"{done.duration:.3f} s in {done.steps} steps"),
+        *([("passed over", f"{done.passed_over:.3f} s at rest, in long gaps")] if done.passed_over else []),
         ("real-time factor", f"{done.real_time_factor:.2f}"),
         ("step time", f"median {1e3 * done.step_median:.3f} ms, p99 {1e3 * done.step_p99:.3f} ms"),
         ("peak force", f"{done.peak_force:.4g} N at {done.peak_force_time:.3f} s"),
@@ -164,6 +173,11 @@ def _run(options: argparse.Namespace) -> int:
         rows.add_row(*row)
     show(rows)
     return DONE
+
+
+def _refused(count: int, first: str | None) -> str:
+    """How many messages were, and why the first."""
+    return f"{count} refused" + (f"; {first}" if count and first else "")
 
 
 def _recorded(done: Summary) -> list[tuple[str, str]]:
@@ -196,7 +210,15 @@ def add_play(verbs: Any) -> None:
     add("--to", default="command_pose", metavar="TOPIC", help="topic to send on (default: %(default)s)")
     add("--frame-id", metavar="FRAME", help="frame_id to send (default: the recorded one)")
     add("--speed", type=positive, default=1.0, metavar="FACTOR", help="2: twice as fast as recorded")
-    add("--duration", type=positive, metavar="S", help="seconds of the bag (default: all)")
+    add(
+        "--start",
+        type=from_zero,
+        default=0.0,
+        metavar="S",
+        help="seconds from the first command on to leave out; the newest command by then is sent first (default: none)",
+    )
+    add("--duration", type=positive, metavar="S", help="seconds of the bag from there on (default: to the end)")
+    add("--allow-gaps", action="store_true", help=ALLOW_GAPS)
     add(
         "--timeout",
         type=positive,
@@ -207,19 +229,28 @@ def add_play(verbs: Any) -> None:
 
 
 def _play(options: argparse.Namespace) -> int:
+    from ..bags.gaps import require_allowed, told
     from ..bags.reader import read_commands
-    from ..console import gauge
+    from ..console import gauge, say
     from ..ros.demo import require_ros
     from ..scene.resources import find_bag
 
-    commands = read_commands(find_bag(options.bag), options.topic)
+    path = find_bag(options.bag)
+    recorded = read_commands(path, options.topic, allow_gaps=True)
+    commands = recorded.window(options.start, options.duration)
+    if not options.allow_gaps:
+        require_allowed(path, commands.gaps, recorded.start, commands.start)
+    if commands.gaps:
+        say(f"finger_sim: warning: {path}: {told(commands.gaps)}: nothing is sent for so long")
+    if commands.refused:
+        say(f"finger_sim: warning: {path}: {_refused(commands.refused, commands.refusal)}: not sent")
     require_ros()
     from ..ros.play import play, ros_node
 
     with ros_node("finger_sim_play") as node, gauge(f"playing {commands.topic}") as meter:
         played = play(
             node, commands, topic=options.to, frame_id=options.frame_id, speed=options.speed,
-            duration=options.duration, timeout=options.timeout, progress=meter,
+            timeout=options.timeout, progress=meter,
         )  # fmt: skip
     print(
         f"{played.sent} commands on {played.topic} in {played.duration / options.speed:.3f} s, "

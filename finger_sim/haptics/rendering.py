@@ -47,3 +47,9 @@ class Rendering:
         self._part = min(1.0, self._part + dt / self.ramp) if self.ramp > 0.0 else 1.0
         scaled = device_wrench(coupling, self.scale * self._part * wrench)
         return scaled if math.isfinite(sum(scaled.tolist())) else NO_WRENCH
+
+    def unchanged(self, received: int) -> float:
+        """Time up to which a constant wrench is sent as it is now, where the last command came at `received` [ns]."""
+        if self.stale:
+            return math.inf
+        return received + 1e9 * self.timeout if self._part >= 1.0 else 0.0

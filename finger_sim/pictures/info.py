@@ -14,7 +14,7 @@ from rich.table import Table
 from ..bags.changes import changes_in
 from ..bags.course import Course, doubts, figures, rows
 from ..bags.origin import SHOWN_DIGITS, read_origin
-from ..bags.reader import BagReader, command_topic, commands_of
+from ..bags.reader import BagReader, absolute, command_topic, commands_of
 from ..console import table
 from ..errors import BagError, FingerSimError
 from ..physics.locking import STIFF_BULK, STRAINS
@@ -87,8 +87,13 @@ def _commands(reader: BagReader) -> Iterator[tuple[str, Table]]:
     """The commands of a bag by times of receipt, as the node follows them; nothing where there are none."""
     try:
         topic = command_topic(reader, None)
-        commands = commands_of(reader, topic)
     except BagError:
+        return
+    try:
+        commands = commands_of(reader, topic, allow_gaps=True)
+    except BagError as error:
+        if any(absolute(each.name) == topic and each.count for each in reader.topics):
+            yield f"commands on {topic}", _pairs({"warning": str(error)})
         return
     found = figures(Course(commands.receipt_ns, commands.position, commands.orientation))
     steps = np.diff(commands.stamp)
@@ -104,7 +109,10 @@ def _commands(reader: BagReader) -> Iterator[tuple[str, Table]]:
 
 def _origin(reader: BagReader) -> dict[str, str]:
     """What made a bag, in few words; nothing where it does not say."""
-    origin = read_origin(reader)
+    try:
+        origin = read_origin(reader)
+    except BagError as error:
+        return {"made by": str(error)}
     if origin is None:
         return {}
     scene, reached = origin.scene, dict(origin.reached)
@@ -119,10 +127,12 @@ def _origin(reader: BagReader) -> dict[str, str]:
     if reached:
         counts = ", ".join(f"{reached.get(name)} {name}" for name in ("steps", "late", "skipped"))
         facts["rate reached"] = f"{reached.get('rate')} Hz: {counts}"
-    changes = changes_in(reader)
+    changes, left_out = changes_in(reader)
     names = Counter(name for change in changes for name in (*change.scene, *change.options))
     live = ", ".join(f"{name} ({count}×)" if count > 1 else name for name, count in names.items())
     facts["changed live"] = live or "nothing"
+    if left_out:
+        facts["live changes that cannot be read"] = f"{len(left_out)}; {left_out[0]}"
     if resets := sum(change.reset for change in changes):
         facts["resets"] = str(resets)
     return facts

@@ -69,7 +69,7 @@ def read_recording(bag: str | Path, plane: Plane | None) -> Recorded:
     Raises BagError naming the topic that is missing or empty.
     """
     reader = BagReader(bag)
-    commands = commands_of(reader)
+    commands = commands_of(reader, allow_gaps=True)
     normal = (plane or Plane()).unit_normal
     point = np.array((plane or Plane()).point)
 

@@ -16,9 +16,9 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from ..bags.poses import check_pose, read_pose
 from ..bags.reader import Qos
 from ..scene import Pose
-from .messages import check_pose, read_pose
 from .outputs import Outputs, ros_qos
 from .rclpy_private import Waiter, take
 from .recorder import RecordedTopic

@@ -1,28 +1,21 @@
-"""Arrays to messages and back: a `Template` per outgoing topic, and the check of what comes in."""
+"""Arrays to messages: a `Template` per outgoing topic; and the times that headers can hold."""
 
 from __future__ import annotations
 
-import struct
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, PoseStamped
+from geometry_msgs.msg import Point
 from geometry_msgs.msg import Pose as PoseMessage
 from numpy.typing import NDArray
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
 from ..arrays import Floats
 from ..bags import cdr
 from ..bags.layout import POINT_DTYPE
-from ..bags.template import STAMP_OFFSET, Template, doubles, marks
-from ..errors import SceneError
-from ..scene import Pose, checked_pose
-
-_HEADER, _POSE = struct.Struct("<iII"), struct.Struct("<7d")
-_SHOWN = 80
-"""Characters of a frame_id that a refusal shows: what anyone sends is told again in logs and every second."""
+from ..bags.template import Template, doubles, marks
 
 RAMP = np.array([[0.16, 0.30, 0.62], [0.22, 0.62, 0.75], [0.62, 0.82, 0.47], [0.97, 0.76, 0.26], [0.80, 0.16, 0.16]])
 """Colours (5, 3) of mesh_marker for 0, ¼, ½, ¾ and 1 (at the limit)."""
@@ -77,60 +70,6 @@ def node_areas(vertices: Floats, triangles: NDArray[np.integer[Any]]) -> Floats:
     return areas
 
 
-class StampedPose(NamedTuple):
-    """What a PoseStamped says."""
-
-    stamp: int
-    """[ns]"""
-    frame_id: str
-    values: tuple[float, ...]
-    """Position x y z [m] and orientation x y z w, as they were sent."""
-
-
-def read_pose(data: bytes) -> StampedPose:
-    """A PoseStamped in CDR bytes. Raises ValueError for bytes that are none, and for a stamp that is no time.
-
-    The usual encoding is read in place, in a tenth of the time that rclpy takes.
-    """
-    if data[:2] == b"\x00\x01" and len(data) > STAMP_OFFSET + _HEADER.size:
-        seconds, nanoseconds, length = _HEADER.unpack_from(data, STAMP_OFFSET)
-        end = STAMP_OFFSET + _HEADER.size + length
-        pose = end + (STAMP_OFFSET - end) % 8
-        if length and len(data) >= pose + _POSE.size:
-            frame_id = data[end - length : end - 1].decode(errors="replace")
-            return StampedPose(_stamp(seconds, nanoseconds), frame_id, _POSE.unpack_from(data, pose))
-    try:
-        message = deserialize_message(data, PoseStamped)
-    except Exception:
-        raise ValueError(f"{len(data)} bytes that are no PoseStamped") from None
-    p, q, stamp = message.pose.position, message.pose.orientation, message.header.stamp
-    values = (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
-    return StampedPose(_stamp(stamp.sec, stamp.nanosec), message.header.frame_id, values)
-
-
 def time_of(clock: Any) -> int:
     """What a ROS clock shows [ns], as the header of a message can hold it: under use_sim_time anyone may set it."""
     return min(max(int(clock.now().nanoseconds), 0), cdr.STAMPS_END - 1)
-
-
-def _stamp(seconds: int, nanoseconds: int) -> int:
-    """Stamp of a header [ns]. Raises ValueError where it is no time."""
-    if seconds < 0 or nanoseconds >= 1_000_000_000:
-        raise ValueError(f"stamp of {seconds} s and {nanoseconds} ns, must be sec >= 0 and nanosec < 1000000000")
-    return seconds * 1_000_000_000 + nanoseconds
-
-
-def check_pose(message: StampedPose, world_frame: str) -> Pose | str:
-    """The pose with a unit quaternion, or why it is refused.
-
-    An empty frame_id is refused as any other wrong one: whoever sends it has not said which frame is meant.
-    """
-    if message.frame_id != world_frame:
-        frame_id = message.frame_id
-        cut = f" and {len(frame_id) - _SHOWN} characters more" if len(frame_id) > _SHOWN else ""
-        return f"frame_id {frame_id[:_SHOWN]!r}{cut}, must be {world_frame!r}"
-    try:
-        x, y, z, qx, qy, qz, qw = message.values
-        return checked_pose(Pose((x, y, z), (qx, qy, qz, qw)))
-    except SceneError as error:
-        return str(error)

@@ -3,29 +3,33 @@
 No wall clock enters the output. Time counts from the first good command, or from the start of the window that was
 asked for: step k ends at (k + 1) dt and is stamped with the log time of that beginning plus this time, rounded to a
 nanosecond once, so stamps do not drift. Messages are read, and steps made, one at a time: memory does not grow with
-the length of the bag, but for the index of its chunks.
+the length of the bag, but for the index of its chunks. In a gap longer than `bags.gaps.GAP_TOLD`, a finger that has
+come to rest is not stepped, and nothing is written, until the last step before the message that ends it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import heapq
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from ..bags import cdr
-from ..bags.changes import Change, after, before_their_steps, changed, changes_in
+from ..bags.changes import Change, accepted, after, before_their_steps, changed, changes_in
 from ..bags.excerpt import Arrivals, Received, Tally, commands_in, plane_poses_in
+from ..bags.gaps import Gap, gaps_in, require_allowed, told
 from ..bags.interrupts import deferred
 from ..bags.origin import Origin, differences, origin_of, read_origin, recorded_scene
-from ..bags.reader import LONGEST_SPAN_SECONDS, BagReader, BagWriter, require_absent
+from ..bags.reader import BagReader, BagWriter, require_absent
 from ..errors import BagError, FingerSimError
 from ..haptics.rendering import Rendering
 from .costs import Costs
 from .replay_output import Changes, Copies, Output
-from .selection import DEFAULTS, RENDERING, Mode, options_of
+from .schedule import Moment, at_times, nanoseconds, of_commands, on_a_clock, steps_to
+from .selection import DEFAULTS, RENDERING, Mode, options_of, unusable
 from .selection import Selection as Selection
 from .summary import Summary
 
@@ -53,18 +57,21 @@ class Replay:
         self.selection = selection or Selection()
         self.reader = BagReader(bag)
         self.as_recorded = scene is None
-        self.origin = read_origin(self.reader)
+        self.warnings: list[str] = []
+        """What is to be known before anything is simulated: long gaps, and what cannot be read."""
+        self.origin = self._origin()
         """What the bag was made with; None where it does not say."""
         self.scene = recorded_scene(self.reader, self.origin) if scene is None else scene
         said = self.origin.options if self.origin is not None and self.as_recorded else {}
         self.options = options_of(said, self.selection.mode, self.reader.path)
-        self.commands, self.tally = commands_in(self.reader, self.selection.topic)
+        by_node = self.as_recorded and self.origin is not None and self.origin.made_by == "node"
+        frame = said.get("world_frame") if by_node and self.selection.topic is None else None
+        self.commands, self.tally = commands_in(self.reader, self.selection.topic, frame)
         self.options["world_frame"] = self.commands.frame_id or DEFAULTS["world_frame"]
-        changes = changes_in(self.reader) if self.origin is not None else []
-        if self.mode == "triggered":
-            changes = before_their_steps(self.reader, self.commands.poses(), changes)
+        changes = self._recorded_changes()
         self.plane = plane_poses_in(self.reader, self.commands, self.selection.plane_topic)
         self.plane_tally = self._plane_tally()
+        self._zero = self.tally.first
         begin, end = self._window()
         if begin is not None or end is not None:
             self.commands = self.commands.cut(begin, end)
@@ -74,33 +81,77 @@ class Replay:
         self.start = self.tally.first
         """Log time from which simulated time counts [ns]."""
         self._take(changes)
+        self.gaps = self._judged_gaps()
+        """Long times without a message, in order."""
         self.steps = self._count()
-        """Steps to be made."""
-        if self._last() + _nanoseconds(1, self.scene.dt) >= cdr.STAMPS_END:
+        """Steps to be made, those too that are passed over in gaps."""
+        if self._last() + nanoseconds(1, self.scene.dt) >= cdr.STAMPS_END:
             where = f"{self.reader.path}: topic {self.commands.topic}"
-            allowed = "allowed: below 2^31 s, as messages are stamped"
+            allowed = "allowed: below 2^31 s, as messages are stamped; --duration can end before it"
             raise BagError(f"{where}: got a log time of {self._last() * 1e-9:.9g} s, {allowed}")
         self.remains: str | None = None
         """What is left of a run that did not come to its end."""
 
-    def _take(self, changes: list[Change]) -> None:
-        """What was changed by the first step is in scene and options then; what comes later is to be changed.
+    def _origin(self) -> Origin | None:
+        """What the bag says of its making. Raises BagError where that is needed, and cannot be read."""
+        try:
+            return read_origin(self.reader)
+        except BagError as error:
+            if self.as_recorded:
+                raise
+            self.warnings.append(f"{error}; the scene that is given is simulated")
+            return None
 
-        Raises BagError for what the scene refuses.
-        """
+    def _recorded_changes(self) -> list[Change]:
+        """Changes and resets of the recording; those that tell nothing are left out with a warning."""
+        if self.origin is None:
+            return []
+        changes, left_out = changes_in(self.reader)
+        if self.as_recorded:
+            for change in changes:
+                if reason := unusable(change.options):
+                    left_out.append(f"{change.place}: {reason}")
+            changes, refused = accepted(self.scene, (each for each in changes if not unusable(each.options)))
+            left_out += refused
+        if left_out:
+            count = f"{len(left_out)} recorded changes are" if len(left_out) > 1 else "a recorded change is"
+            self.warnings.append(f"{self.reader.path}: {count} left out; {left_out[0]}")
+        if self.mode == "triggered":
+            changes = before_their_steps(self.reader, self.commands.poses(), changes)
+        return changes
+
+    def _take(self, changes: list[Change]) -> None:
+        """What was changed by the first step is in scene and options then; what comes later is to be changed."""
         before = [change for change in changes if change.time <= self.start]
         later = [change for change in changes if change.time > self.start]
         self._before = before
         if self.as_recorded:
-            self.scene = changed(self.reader, self.scene, before)
-            changed(self.reader, self.scene, later)
+            self.scene = changed(self.scene, before)
             for change in before:
-                self.options.update(change.options)
+                self.options.update((name, value) for name, value in change.options.items() if name in RENDERING)
             self.changes = later
         else:
             self.changes = [change for change in later if change.reset]
         self.left_out = len(later) - len(self.changes)
         """Live changes that are not followed, as a scene was given."""
+
+    def _received(self) -> Iterator[tuple[int, str, int]]:
+        """All that may change a step: log time [ns], topic and number of the message."""
+        plane = self.plane if self.scene.plane is not None else None
+        streams: list[Iterable[tuple[int, str, int]]] = [poses.times() for poses in (self.commands, plane) if poses]
+        streams.append((change.time, change.message.topic, change.number) for change in self.changes)
+        last = self._last()
+        return (each for each in heapq.merge(*streams, key=lambda item: item[0]) if self.start <= each[0] <= last)
+
+    def _judged_gaps(self) -> list[Gap]:
+        """Long times without a message. Raises BagError for one that is too long to be simulated unasked."""
+        gaps = list(gaps_in(self._received()))
+        if self.mode == "free" and not self.selection.allow_gaps:
+            require_allowed(self.reader.path, gaps, self._zero, self.start)
+        if gaps:
+            rest = "; a finger at rest is not stepped in between" if self.mode == "free" else ""
+            self.warnings.append(f"{self.reader.path}: {told(gaps)}{rest}")
+        return gaps
 
     def run(self, out: str | Path, progress: StepsDone | None = None, *, simulator: Simulator | None = None) -> Summary:
         """Simulates, and writes what the node would publish to the new bag `out`; see `run` of this module."""
@@ -139,8 +190,13 @@ class Replay:
         plane = Arrivals(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
         costs, rendering = Costs(), Rendering(*(self.options[name] for name in RENDERING))
         newest: Received | None = None
+        asleep = False
         zero = self.start
-        for moment in self._moments():
+
+        def unchanged() -> float:
+            return rendering.unchanged(newest.log_time) if asleep and newest is not None else 0.0
+
+        for moment in self._moments(unchanged):
             for name, value in changes.up_to(self.start + moment.begin, simulator).items():
                 if name in RENDERING:
                     setattr(rendering, RENDERING[name], value)
@@ -168,13 +224,15 @@ class Replay:
             for copy in copies:
                 copy.up_to(self.start + moment.end)
             output.step(simulator, result, device, moment.end)
+            asleep = bool(self.gaps) and result.asleep
             summary.count(result, moment.end)
+            summary.passed_over = nanoseconds(moment.number - summary.steps, self.scene.dt) * 1e-9
             if progress is not None:
-                progress(summary.steps, self.steps)
+                progress(moment.number, self.steps)
             interrupt()
         for copy in copies:
             copy.up_to(None)
-        summary.duration, summary.wall = _nanoseconds(summary.steps, self.scene.dt) * 1e-9, costs.total
+        summary.duration, summary.wall = nanoseconds(summary.steps, self.scene.dt) * 1e-9, costs.total
         summary.step_median, summary.step_p99 = costs.percentile(50.0), costs.percentile(99.0)
 
     @property
@@ -187,7 +245,7 @@ class Replay:
         """Steps to be made. Raises BagError where the mode asks for recorded ones, and there are none."""
         match self.mode:
             case "free":
-                return _steps(self._last() - self.start, self.scene.dt)
+                return steps_to(self._last() - self.start, self.scene.dt)
             case "triggered":
                 return self.tally.good
         origin = self.origin
@@ -209,34 +267,17 @@ class Replay:
             if self.start <= message.log_time <= last:
                 yield message.log_time - self.start
 
-    def _moments(self) -> Iterator[_Moment]:
-        """When steps begin and end, with the commands that came for each."""
+    def _moments(self, unchanged: Callable[[], float]) -> Iterator[Moment]:
+        """When steps begin and end, with the commands that came for each; `unchanged`: see `on_a_clock`."""
         if self.mode == "triggered":
-            for command in self.commands.poses():
-                at = command.log_time - self.start
-                yield _Moment(at, at, [command])
-            return
-        arrivals = Arrivals(self.commands.poses())
+            return of_commands(self.commands, self.start)
         if self.mode == "recorded":
-            for begin in self._recorded_steps():
-                yield _Moment(begin, begin, arrivals.up_to(self.start + begin))
-            return
-        begin = 0
-        for k in range(self.steps):
-            end = _nanoseconds(k + 1, self.scene.dt)
-            yield _Moment(begin, end, arrivals.up_to(self.start + begin))
-            begin = end
+            return at_times(self.commands, self.start, self._recorded_steps())
+        return on_a_clock(self.commands, self.start, self.steps, self.scene.dt, iter(self.gaps), unchanged)
 
     def _plane_tally(self) -> Tally:
-        """What there is of the plane's poses. Raises BagError when one is too far away from the commands."""
-        if self.plane is None:
-            return Tally(0, 0, 0, 0)
-        tally = self.plane.tally()
-        farthest = max(abs(time - self.tally.first) for time in (tally.first, tally.last)) * 1e-9 if tally.good else 0.0
-        if farthest > LONGEST_SPAN_SECONDS:
-            far = f"{farthest:.3g} s away from the first command, allowed: {LONGEST_SPAN_SECONDS:g} s"
-            raise BagError(f"{self.reader.path}: topic {self.plane.topic}: a log time is {far}")
-        return tally
+        """What there is of the plane's poses."""
+        return Tally(0, 0, 0, 0) if self.plane is None else self.plane.tally()
 
     def _last(self) -> int:
         """Log time of the last pose that a step follows [ns]."""
@@ -262,10 +303,12 @@ class Replay:
         """What is known before the first step."""
         tally, plane = self.tally, self.plane_tally
         summary = Summary(Path(out), self.commands.topic, tally.good, tally.refused, self.reader.warning)
+        summary.refusal, summary.warnings = tally.refusal, list(self.warnings)
         if self.plane is not None:
             summary.plane_topic = self.plane.topic
             summary.plane_poses = plane.good if self.scene.plane is not None else 0
             summary.plane_refused = plane.refused + plane.good - summary.plane_poses
+            summary.plane_refusal = plane.refusal
         summary.resets = sum(change.reset for change in self.changes)
         summary.live_changes, summary.left_out = len(self.changes) - summary.resets, self.left_out
         summary.as_recorded = self.as_recorded
@@ -315,27 +358,6 @@ def run(
     """
     require_absent(out)
     return Replay(scene, bag, selection).run(out, progress, simulator=simulator)
-
-
-class _Moment(NamedTuple):
-    """A step: when it begins, what time its results have [ns], and the commands that came for it."""
-
-    begin: int
-    end: int
-    commands: list[Received]
-
-
-def _steps(last: int, dt: float) -> int:
-    """Steps until the pose received at `last` [ns] has been simulated for one of them."""
-    k = math.floor(last * 1e-9 / dt)
-    while _nanoseconds(k, dt) < last:
-        k += 1
-    return k + 1
-
-
-def _nanoseconds(k: int, dt: float) -> int:
-    """k dt, rounded once [ns]."""
-    return round(k * dt * 1e9)
 
 
 def _cause(error: BaseException) -> str:

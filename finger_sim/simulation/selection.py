@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,8 @@ class Selection:
     """Beginning of the window, since the first good command [s]."""
     duration: float | None = None
     """Length of the window [s]; None: to the end of the bag."""
+    allow_gaps: bool = False
+    """In mode free, simulate also what has gaps longer than `bags.gaps.GAP_ALLOWED` between two messages."""
 
 
 DEFAULTS: Mapping[str, Any] = {
@@ -50,6 +53,16 @@ DEFAULTS: Mapping[str, Any] = {
 
 RENDERING = {"force_scale": "scale", "force_ramp": "ramp", "command_timeout": "timeout"}
 """Those of the device's wrench, with their names in `Rendering`."""
+
+
+def unusable(options: Mapping[str, Any]) -> str:
+    """What of the parameters that change live no node has; empty where all can be."""
+    wrong = (name for name in RENDERING if name in options and not _is_number(options[name]))
+    return "; ".join(f"{name}: got {options[name]!r}, allowed: a finite number with a point" for name in wrong)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, float) and math.isfinite(value)
 
 
 def options_of(said: Mapping[str, Any], mode: Mode | None, bag: Path) -> dict[str, Any]:

@@ -21,14 +21,20 @@ class Summary:
     topic: str
     commands: int
     refused: int
-    """Commands left out: those that cannot be followed, or are in another frame."""
+    """Commands left out: messages that are none, those that cannot be followed, or are in another frame."""
     warning: str | None
     """What was wrong with the bag of commands, if it was cut off."""
+    refusal: str | None = None
+    """Why the first of the refused was, with the number of its message."""
+    warnings: list[str] = field(default_factory=list)
+    """What was to be known before the first step: long gaps, and what could not be read."""
     plane_topic: str | None = None
     """Where the plane's poses came from, if there were any."""
     plane_poses: int = 0
     plane_refused: int = 0
     """Poses of the plane left out: as commands are, or all, where the scene has no plane."""
+    plane_refusal: str | None = None
+    """Why the first that is refused whatever the scene was."""
     as_recorded: bool = False
     """Whether what the bag was made with was simulated, and no scene that was given."""
     live_changes: int = 0
@@ -42,6 +48,8 @@ class Summary:
     steps: int = 0
     duration: float = 0.0
     """Simulated time [s]."""
+    passed_over: float = 0.0
+    """Time in long gaps that was not simulated, as the finger was at rest [s]."""
     wall: float = 0.0
     """Time that the steps alone took [s]."""
     step_median: float = 0.0

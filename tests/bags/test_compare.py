@@ -17,7 +17,7 @@ from finger_sim.bags import cdr
 from finger_sim.bags.compare import compare
 from finger_sim.bags.comparison import TopicComparison
 from finger_sim.bags.layout import POINT_DTYPE
-from finger_sim.bags.reader import BagWriter, read_commands
+from finger_sim.bags.reader import BagReader, BagWriter, read_commands
 from finger_sim.bags.verdict import verdict
 from finger_sim.cli import main
 from finger_sim.errors import BagError
@@ -310,24 +310,40 @@ def test_of_what_stands_still_no_lag_is_told(tmp_path: Path) -> None:
     assert (far.seconds, far.beyond) == (pytest.approx(0.1), True)
 
 
-def test_a_message_that_cannot_be_read_is_never_equal(tmp_path: Path) -> None:
-    """It is named by bag, topic and number; a copy of it is the same bit by bit all the same."""
-    a = wrenches(tmp_path / "a", lambda _: 0.0, n=5)
-    for name in ("b", "copy"):
+def test_a_broken_message_is_equal_to_itself_only(tmp_path: Path) -> None:
+    """It ends no comparison, is never equal within a tolerance to what has other bytes, and is named."""
+    a = wrenches(tmp_path / "a")
+    for name, broken in (("b", b"\x00\x01\x00\x00abc"), ("c", b"\x00\x01\x00\x00abd")):
         with BagWriter(tmp_path / name) as bag:
             bag.add_topic("contact_wrench", cdr.WRENCH_STAMPED)
-            for k in range(5):
-                data = cdr.wrench_stamped(START + k * MS, "finger", (0.0, 0.0, 0.0, 0.5, 0.0, 0.0))
-                bag.write("contact_wrench", data[:50] if k == 2 else data, START + k * MS)
-    for tolerance, first in (
-        (None, "bytes at 0.002000 s (message 3)"),
-        (1e9, "cannot be read at 0.002000 s (message 3)"),
-    ):
-        for pair in ((a, tmp_path / "b"), (tmp_path / "b", a)):
-            found = compare(*pair, tolerance=tolerance)
-            assert (found.equal, found.topics[0].first) == (False, first)
-            assert found.warnings[0].startswith(f"{tmp_path / 'b'}: topic /contact_wrench, message 3: ")
-    assert compare(tmp_path / "b", tmp_path / "copy").equal
+            for number, message in enumerate(BagReader(a), start=1):
+                bag.write("contact_wrench", broken if number == 7 else message.data, message.log_time)
+    for one, other in (("a", "b"), ("b", "a"), ("b", "c")):
+        for tolerance in (None, 1e9):
+            found = compare(tmp_path / one, tmp_path / other, tolerance=tolerance)
+            assert not found.equal
+            assert "(message 7)" in str(found.topics[0].first)
+    assert compare(tmp_path / "b", tmp_path / "b", tolerance=0.0).equal
+    assert compare(tmp_path / "b", tmp_path / "b").equal
+
+
+def test_days_between_two_messages_are_no_signal(tmp_path: Path) -> None:
+    """The lag is that of what was recorded on both sides of a gap of 30 years; nothing is taken in between."""
+
+    def far(t: float) -> float:
+        return math.sin(20.0 * t)
+
+    for name, lag in (("a", 0.0), ("b", 0.012)):
+        with BagWriter(tmp_path / name) as bag:
+            bag.add_topic("contact_wrench", cdr.WRENCH_STAMPED)
+            for begin in (0.0, 1e9):
+                for k in range(400):
+                    t = 0.005 * k
+                    data = cdr.wrench_stamped(0, "world", [far(t - lag), 0.0, 0.0, 0.0, 0.0, 0.0])
+                    bag.write("contact_wrench", data, round((begin + t) * 1e9))
+    found = compare(tmp_path / "a", tmp_path / "b", tolerance=10.0).topics[0].lag
+    assert found is not None
+    assert found.seconds == pytest.approx(0.012, abs=1e-3)
 
 
 POSE = "geometry_msgs/msg/Pose"

@@ -19,7 +19,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
-from finger_sim.bags import cdr
+from finger_sim.bags import cdr, poses
 from finger_sim.bags.layout import POINT_DTYPE, pack_points
 from finger_sim.bags.template import doubles
 from finger_sim.ros import messages
@@ -141,7 +141,7 @@ def pose_message(position=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0), fra
 
 def checked(message):
     """What becomes of a message that is sent."""
-    return messages.check_pose(messages.read_pose(serialize_message(message)), "world")
+    return poses.check_pose(poses.read_pose(serialize_message(message)), "world")
 
 
 @for_each("frame_id", ["", "w", "map", "base", "world", "tool_0", "fingers", "ängström", "a" * 1000])
@@ -156,14 +156,51 @@ def test_a_pose_is_read_as_it_was_sent(frame_id, swapped):
         kind = "geometry_msgs/msg/PoseStamped"
         data = bytes(store.serialize_cdr(store.deserialize_cdr(data, kind), kind, little_endian=False))
         assert data[1] == 0
-    assert messages.read_pose(data) == (STAMP, frame_id, values)
+    assert poses.read_pose(data) == (STAMP, frame_id, values)
 
 
 @for_each("data", [b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 12, b"\7" * 96, WHOLE[:40], WHOLE[:-1]])
 def test_bytes_that_are_no_pose_are_refused(data):
     """Cut off, or never one."""
     with pytest.raises(ValueError, match="bytes that are no PoseStamped"):
-        messages.read_pose(data)
+        poses.read_pose(data)
+
+
+def test_bytes_are_judged_as_rclpy_judges_them():
+    """Cut anywhere, with any byte changed, in either order of bytes: what rclpy reads is read alike."""
+    store, kind = get_typestore(Stores.ROS2_JAZZY), "geometry_msgs/msg/PoseStamped"
+    whole = bytes(serialize_message(pose_message((1.0, 2.0, 3.0), (0.1, 0.2, 0.3, 0.4))))
+    swapped = bytes(store.serialize_cdr(store.deserialize_cdr(whole, kind), kind, little_endian=False))
+    for data in (whole, swapped):
+        tried = [data[:n] for n in range(len(data))] + [data + bytes(n) for n in range(9)]
+        for _ in range(500):
+            changed = bytearray(data)
+            for at in RNG.integers(2, len(data), 2):
+                changed[at] = RNG.choice([0, 1, 8, 127, 255, RNG.integers(256)])
+            tried.append(bytes(changed))
+        for each in tried:
+            assert _said_by_rclpy(each) == _said_by_us(each), each.hex()
+
+
+def _said_by_us(data):
+    try:
+        said = poses.read_pose(data)
+    except ValueError:
+        return None
+    return said.stamp, said.frame_id, np.array(said.values).tobytes()
+
+
+def _said_by_rclpy(data):
+    """None for what it does not read, and for a stamp that is no time."""
+    try:
+        message = deserialize_message(data, PoseStamped)
+    except Exception:
+        return None
+    p, q, stamp = message.pose.position, message.pose.orientation, message.header.stamp
+    if stamp.sec < 0 or stamp.nanosec >= 1_000_000_000:
+        return None
+    nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
+    return nanoseconds, message.header.frame_id, np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]).tobytes()
 
 
 def test_a_stamp_that_is_no_time_is_refused():
@@ -176,9 +213,9 @@ def test_a_stamp_that_is_no_time_is_refused():
         swapped = bytes(store.serialize_cdr(store.deserialize_cdr(data, kind), kind, little_endian=False))
         for way in (data, swapped):
             with pytest.raises(ValueError, match=rf"stamp of {sec} s and {nanosec} ns, must be sec >= 0"):
-                messages.read_pose(way)
+                poses.read_pose(way)
     message.header.stamp.sec, message.header.stamp.nanosec = 2**31 - 1, 999_999_999
-    latest = messages.read_pose(serialize_message(message)).stamp
+    latest = poses.read_pose(serialize_message(message)).stamp
     filled = messages.pose_template("world").fill(latest, doubles(np.zeros(7)))
     assert deserialize_message(filled, PoseStamped).header.stamp == message.header.stamp
 

@@ -93,7 +93,7 @@ def test_every_way_in_judges_alike(simulator: Simulator, tmp_path: Path) -> None
         "csv": by_csv,
     }
     try:
-        from finger_sim.ros.messages import StampedPose, check_pose
+        from finger_sim.bags.poses import StampedPose, check_pose
     except ImportError:
         pass  # no ROS here
     else:

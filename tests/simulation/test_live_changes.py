@@ -169,22 +169,51 @@ def test_the_same_steps_by_hand(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.frombuffer(b"".join(got)).reshape(-1, 6), wrenches)
 
 
+def test_a_recording_is_judged_in_the_frame_that_its_node_heard(tmp_path: Path) -> None:
+    """Most of its commands were refused: so they are again. Of a bag that no node made, most decide."""
+    for made_by, frame, good in (("node", "world", 1), ("another", "map", 2)):
+        origin = origin_of(made_by, BEAM, BEAM.load_mesh(), {"world_frame": "world"})
+        with BagWriter(tmp_path / made_by, origin=origin.words()) as bag:
+            bag.add_topic("command_pose", cdr.POSE_STAMPED)
+            for k, sent in enumerate(("map", "world", "map")):
+                bag.write("command_pose", cdr.pose_stamped(k, sent, (0.0, 0.0, 0.0), LEVEL), START + k)
+        replay = Replay(None, tmp_path / made_by)
+        assert (replay.commands.frame_id, replay.tally.good, replay.tally.refused) == (frame, good, 3 - good)
+
+
+def test_damaged_words_on_its_making_end_no_run_that_has_a_scene(tmp_path: Path) -> None:
+    """They are told; without a scene there is nothing to simulate."""
+    with BagWriter(tmp_path / "bag", origin={"scene": "{mesh: ["}) as bag:
+        bag.write(
+            bag.add_topic("command_pose", cdr.POSE_STAMPED), cdr.pose_stamped(0, "world", (0, 0, 0), LEVEL), START
+        )
+    (warning,) = Replay(BEAM, tmp_path / "bag").warnings
+    assert "what it says of its making cannot be read" in warning
+    with pytest.raises(BagError, match="what it says of its making cannot be read"):
+        Replay(None, tmp_path / "bag")
+
+
 def test_values_that_ros_has_otherwise(tmp_path: Path) -> None:
-    """Infinite where a scene has null, lists; a value that the scene refuses is told with where it is from."""
+    """Infinite where a scene has null, lists; a value that no node took is told with where it is from, and left out."""
     scene = BEAM.with_values({"solver.budget_ms": 3.0})
     events: list[dict[str, Any]] = [{"solver.budget_ms": math.inf, "plane.normal": [0.0, 1.0, 1.0]}]
-    for name, given in {"good": events, "bad": [*events, {"plane.friction": -1.0}]}.items():
+    wrong: list[dict[str, Any]] = [{"plane.friction": -1.0}, {"force_scale": "much"}]
+    for name, given in {"good": events, "bad": [*events, *wrong]}.items():
         with BagWriter(tmp_path / name, origin=origin_of("node", scene, BEAM.load_mesh(), {}).words()) as bag:
             bag.add_topic("command_pose", cdr.POSE_STAMPED)
             bag.add_topic("/parameter_events", cdr.PARAMETER_EVENT)
             bag.write("command_pose", cdr.pose_stamped(0, "world", (0.0, 0.0, 0.0), LEVEL), START)
             for values in given:
                 bag.write("/parameter_events", cdr.parameter_event(0, "/finger", values), START)
-    assert Replay(None, tmp_path / "good").scene == scene.with_values(
-        {"solver.budget_ms": None, "plane.normal": [0, 1, 1]}
-    )
-    with pytest.raises(BagError, match=r"/parameter_events: a recorded change is refused: plane\.friction: got -1\.0"):
-        Replay(None, tmp_path / "bad")
+            if name == "bad":
+                whole = cdr.parameter_event(0, "/finger", {"plane.friction": 0.9})
+                bag.write("/parameter_events", whole[:-20], START)
+    good, bad = (Replay(None, tmp_path / name) for name in ("good", "bad"))
+    assert good.scene == bad.scene == scene.with_values({"solver.budget_ms": None, "plane.normal": [0, 1, 1]})
+    assert good.warnings == []
+    (warning,) = bad.warnings
+    assert "3 recorded changes are left out; topic /parameter_events, message 4: " in warning
+    assert bad.options["force_scale"] == 1.0
 
 
 @pytest.mark.parametrize(

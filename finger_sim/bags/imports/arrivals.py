@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -31,11 +31,17 @@ class Bag(Protocol):
 
     path: Path
     topics: tuple[Topic, ...]
-    warning: str | None
-    """What was wrong with it, if it was cut off."""
+
+    @property
+    def warning(self) -> str | None:
+        """What was wrong with it: that it was cut off, and which of the messages asked for cannot be decoded."""
+        ...
 
     def arrivals(self, topics: Collection[Topic]) -> Iterator[Arrival]:
-        """Messages of these topics, each by its name and type."""
+        """The messages on these topics, each by its name and type.
+
+        Raises BagError where none of them can be decoded, though there are some.
+        """
         ...
 
 
@@ -50,23 +56,20 @@ class Ros2Bag:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._reader = BagReader(path)
-        self.warning = self._reader.warning
+        self._decoded = _Decoded(path)
         self.topics = tuple(Topic(absolute(topic.name), topic.type, topic.count) for topic in self._reader.topics)
 
+    @property
+    def warning(self) -> str | None:
+        return "; ".join(filter(None, (self._reader.warning, self._decoded.warning))) or None
+
     def arrivals(self, topics: Collection[Topic]) -> Iterator[Arrival]:
-        numbers: Counter[str] = Counter()
         wanted = {(topic.name, topic.type) for topic in topics}
-        for message in self._reader.messages([topic.name for topic in topics]):
-            name = absolute(message.topic)
-            if (name, message.type) not in wanted:
-                continue
-            numbers[name] += 1
-            try:
-                decoded = cdr.deserialize(message.data, message.type)
-            except ValueError as error:
-                where = f"{self.path}: topic {name}, message {numbers[name]}"
-                raise BagError(f"{where}: is no {message.type}: {error}") from None
-            yield Arrival(name, numbers[name], message.log_time, decoded)
+        return self._decoded.arrivals(
+            (message.topic, message.type, message.log_time, message.data, cdr.deserialize)
+            for message in self._reader.messages([topic.name for topic in topics])
+            if (absolute(message.topic), message.type) in wanted
+        )
 
 
 class Ros1Bag:
@@ -74,23 +77,56 @@ class Ros1Bag:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.warning: str | None = None
+        self._decoded = _Decoded(path)
         counts: Counter[tuple[str, str]] = Counter()
         with _reading(path) as reader:
             for connection in reader.connections:
                 counts[absolute(connection.topic), connection.msgtype] += connection.msgcount
         self.topics = tuple(Topic(name, type, count) for (name, type), count in counts.items())
 
+    @property
+    def warning(self) -> str | None:
+        return self._decoded.warning
+
     def arrivals(self, topics: Collection[Topic]) -> Iterator[Arrival]:
-        numbers: Counter[str] = Counter()
         chosen = {(topic.name, topic.type) for topic in topics}
         with _reading(self.path) as reader:
             wanted = [each for each in reader.connections if (absolute(each.topic), each.msgtype) in chosen]
             store = _types_of(wanted)
-            for connection, time, data in reader.messages(connections=wanted) if wanted else ():
-                name = absolute(connection.topic)
-                numbers[name] += 1
-                yield Arrival(name, numbers[name], time, store.deserialize_ros1(data, connection.msgtype))
+            yield from self._decoded.arrivals(
+                (connection.topic, connection.msgtype, time, data, store.deserialize_ros1)
+                for connection, time, data in (reader.messages(connections=wanted) if wanted else ())
+            )
+
+
+Undecoded = tuple[str, str, int, bytes, Callable[[bytes, str], Any]]
+"""Topic, type, log time [ns] and bytes of a message, and what decodes bytes of a type."""
+
+
+class _Decoded:
+    """Decodes messages; those that cannot be are left out, and counted in `warning`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.warning: str | None = None
+
+    def arrivals(self, messages: Iterable[Undecoded]) -> Iterator[Arrival]:
+        numbers: Counter[str] = Counter()
+        bad, first = 0, ""
+        for topic, kind, time, data, decode in messages:
+            name = absolute(topic)
+            numbers[name] += 1
+            try:
+                decoded = decode(data, kind)
+            except Exception as error:  # whatever the bytes make the library do
+                bad += 1
+                first = first or f"topic {name}, message {numbers[name]}: is no {kind}: {error}"
+                continue
+            yield Arrival(name, numbers[name], time, decoded)
+        if bad and bad == numbers.total():
+            raise BagError(f"{self._path}: {first}")
+        count = f"{bad} messages cannot be decoded and are left out" if bad > 1 else "a message is left out"
+        self.warning = f"{count}; {first}" if bad else None
 
 
 def _types_of(connections: Iterable[Any]) -> Typestore:

@@ -10,12 +10,13 @@ import numpy as np
 
 from ...arrays import Floats
 from ...errors import BagError
-from ..reader import LONGEST_SPAN_SECONDS
 from .cells import Row, number, same
 from .formats import TIME_UNITS
 from .layout import Layout
 from .recorded import DEFAULTS, ORIENTATION, POSITION, Reading, Recorded
 
+LONGEST_SPAN = 1e6
+"""Longest time from the first row to another that is believed [s]: more comes of another unit."""
 PAUSE = 0.5
 """Time between repeats that are played one after another [s]."""
 
@@ -82,9 +83,9 @@ class _Timeline:
             advice = _repeat_advice(self._layout.names, self._previous.cells, row.cells)
             older = f"{unit} after {self._previous.cells[self._column]} {unit}"
             raise BagError(f"{here} {older}, allowed: times that never fall{advice}")
-        if t + self._shift > LONGEST_SPAN_SECONDS * 1e9:
+        if t + self._shift > LONGEST_SPAN * 1e9:
             after = f"{(t + self._shift) * 1e-9:.3g} s after the first where t is in {unit}"
-            limit = f"allowed: {LONGEST_SPAN_SECONDS:g} s"
+            limit = f"allowed: {LONGEST_SPAN:g} s"
             raise BagError(f"{here}, {after}, {limit}; another unit? --time-unit {', '.join(TIME_UNITS)}")
         self.times.append(t + self._shift)
         self.places.append(f"{self._source}:{row.line}")

@@ -12,6 +12,7 @@ import numpy as np
 from ...arrays import Floats
 from ...errors import BagError, SceneError
 from ...scene import Pose, checked_pose
+from .. import cdr
 from ..course import Course, Figures, figures
 from ..packing import kind_of_file
 from ..reader import START, absolute, require_absent, write_commands
@@ -94,6 +95,7 @@ def import_poses(
     _check(changes)
     require_absent(out)
     recorded = _read(source, reading)
+    _require_stamps(recorded)
     course, notes = _changed(recorded, changes)
     for place, p, q in zip(recorded.places, course.position.tolist(), course.orientation.tolist(), strict=True):
         try:
@@ -116,6 +118,16 @@ def import_poses(
         notes=(*recorded.notes, *notes),
         warnings=recorded.warnings,
     )
+
+
+def _require_stamps(recorded: Recorded) -> None:
+    """Raises BagError for a pose so long after the first that no message could be stamped with it."""
+    most = cdr.STAMPS_END - START
+    late = next((i for i, time in enumerate(recorded.time) if time >= most), None)
+    if late is not None:
+        span = f"{recorded.time[late] * 1e-9:.9g} s after the first pose, allowed: below {most * 1e-9:.9g} s"
+        advice = "a clock that was set, or stray poses? --clock takes other times of a bag"
+        raise BagError(f"{recorded.places[late]}: {span}; {advice}")
 
 
 def _read(source: Path, reading: Reading) -> Recorded:
