@@ -62,7 +62,12 @@ def compare(
         raise BagError("overlap: needs a tolerance: bags of different spans are not bit-identical")
     readers = BagReader(a), BagReader(b)
     have = _counts(readers[0]), _counts(readers[1])
-    keys = list(dict.fromkeys([*have[0], *have[1]]))
+    foreign = {
+        (absolute(name), kind): f"is in {encoding} in {'AB'[side]}, which cannot be compared"
+        for side, reader in enumerate(readers)
+        for (name, kind), encoding in reader.foreign.items()
+    }
+    keys = list(dict.fromkeys([*have[0], *have[1], *foreign]))
     if topics is not None:
         names = list(dict.fromkeys(name for name, _ in keys))
         wanted = list(dict.fromkeys(absolute(topic) for topic in topics))
@@ -71,7 +76,8 @@ def compare(
                 raise BagError(f"{a}, {b}: no topic {name} in either; found {', '.join(names) or 'none'}")
         keys = [key for name in wanted for key in keys if key[0] == name]
     repeated = tolerance is not None and all(reader.origin for reader in readers)
-    left_out = [] if topics is not None or everything else list(_left_out(keys, have, repeated))
+    compared = [key for key in keys if key not in foreign]
+    left_out = [] if topics is not None or everything else list(_left_out(compared, have, repeated))
     zeros = _zeros(readers)
     overlapping = _overlap(readers, zeros)
     pairs = {}
@@ -79,7 +85,10 @@ def compare(
     for key in (key for key in keys if key not in {(topic.name, topic.type) for topic in left_out}):
         out = TopicComparison(*key, (have[0].get(key, 0), have[1].get(key, 0)))
         done.append(out)
-        if all(key in topics_of for topics_of in have):
+        if key in foreign:
+            out.identical = out.equal = False
+            out.first = foreign[key]
+        elif all(key in topics_of for topics_of in have):
             pairs[key] = TopicPair(out, (Path(a), Path(b)), tolerance, overlapping)
         else:
             out.identical = out.equal = False

@@ -165,7 +165,7 @@ class McapSource(Source):
                 if channel.message_encoding == "cdr":
                     numbers.setdefault((channel.topic, file.type_of(channel), channel.id), Numbers())
                 else:
-                    self.foreign = True
+                    self.foreign[channel.topic, file.type_of(channel)] = channel.message_encoding
         self.topics = topics_of(numbers)
         zero = self.start or 0
         self.warnings = [*(text for file in self.files for text in file.warnings(zero)), *unreadable]

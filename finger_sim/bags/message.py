@@ -82,8 +82,8 @@ class Source:
         """Of the last one."""
         self.warnings: list[str] = []
         """What of it cannot be read, and why."""
-        self.foreign = False
-        """Whether it holds messages that are not of ROS 2, and not counted."""
+        self.foreign: dict[tuple[str, str], str] = {}
+        """Encodings of messages that are not of ROS 2 (cdr), and not counted, by their topic's name and type."""
         self.origin: dict[str, str] = {}
         """Words on its making (`bags.origin`), as far as its files hold them."""
 

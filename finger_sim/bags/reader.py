@@ -98,6 +98,8 @@ class BagReader:
         """Where its metadata.yaml is wrong, though no message is missing."""
         self.cut = opened.cut
         """Why its writer ended it early, where it said so; all of such a bag can be read."""
+        self.foreign = self._source.foreign
+        """Encodings of messages that are not read, by their topic's name and type."""
         self.origin = self._source.origin
         """Words on what made it, for `bags.origin`; empty where it says nothing."""
 
@@ -264,9 +266,8 @@ def plane_poses_of(reader: BagReader, commands: Commands, topic: str | None = No
 
 
 def _rows(reader: BagReader, topic: str) -> list[PoseRow]:
-    """All messages of poses on a topic."""
-    messages = reader.messages([topic], cdr.POSE_STAMPED)
-    return [pose_row(number, message) for number, message in enumerate(messages, start=1)]
+    """All messages of a topic."""
+    return [pose_row(number, message) for number, message in enumerate(reader.messages([topic]), start=1)]
 
 
 class _Good(NamedTuple):

@@ -138,7 +138,7 @@ class SqliteSource(Source):
         formats = {format for *_, format in topics}
         if formats and "cdr" not in formats:
             raise BagError(f"holds no ROS 2 messages (cdr), but {', '.join(sorted(formats))}")
-        self.foreign = self.foreign or len(formats) > 1
+        self.foreign |= {(name, type): format for _, name, type, format in topics if format != "cdr"}
         file.foreign = {number for number, *_, format in topics if format != "cdr"}
         file.topics = {number: Topic(name, type, 0) for number, name, type, format in topics if format == "cdr"}
         file.index()

@@ -61,6 +61,8 @@ def _bag(path: Path) -> Iterator[tuple[str, Table]]:
         "numbers missing": str(sum(topic.lost or 0 for topic in reader.topics)),
     }
     about = _pairs(facts | _origin(reader))
+    for (name, kind), encoding in reader.foreign.items():
+        about.add_row("not read", f"{name} ({kind}): messages in {encoding}, not of ROS 2 (cdr)")
     for note in reader.notes:
         about.add_row("note", note)
     yield f"bag {path}", about

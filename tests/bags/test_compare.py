@@ -412,6 +412,26 @@ def test_what_has_no_numbers_or_another_type_is_never_within_a_tolerance(
     assert compare(a, a, tolerance=0.0).equal
 
 
+def test_what_is_not_in_cdr_is_never_equal(tmp_path: Path) -> None:
+    """Beside what is; unless the other topics are asked for. `info` names it."""
+    with (path := tmp_path / "a.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        for name, encoding, data in (("/pose", "cdr", stamped(0.0, 1)[0]), ("/hand", "json", b"{}")):
+            schema = writer.register_schema(cdr.POSE_STAMPED, "ros2msg", b"")
+            writer.add_message(writer.register_channel(name, encoding, schema, {}), START, data, START)
+        writer.finish()
+    for tolerance in (None, 1e9):
+        found = compare(path, path, tolerance=tolerance)
+        assert {topic.name: topic.first for topic in found.topics if not topic.equal} == {
+            "/hand": "is in json in B, which cannot be compared"
+        }
+        assert not found.equal
+        assert compare(path, path, tolerance=tolerance, topics=["pose"]).equal
+    (_, about), *_ = info(str(path))
+    assert f"/hand ({cdr.POSE_STAMPED}): messages in json, not of ROS 2 (cdr)" in list(about.columns[1].cells)
+
+
 def test_a_tolerance_that_is_no_number_is_a_mistake(tmp_path: Path) -> None:
     """Nothing is larger than NaN."""
     a, b = wrenches(tmp_path / "a", n=3), wrenches(tmp_path / "b", lambda t: t + 1.0, n=3)
