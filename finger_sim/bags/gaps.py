@@ -61,16 +61,19 @@ def told(gaps: Sequence[Gap]) -> str:
     return ", ".join(map(str, longest[:SHOWN])) + more
 
 
-def require_allowed(where: object, gaps: Iterable[Gap], zero: int, start: int) -> None:
+def require_allowed(where: object, gaps: Iterable[Gap], window: tuple[int, int] | None = None) -> None:
     """Raises BagError for a gap that is longer than GAP_ALLOWED.
 
-    zero, start : log times [ns] that --start, and --duration, count from
+    window : log times [ns] that --start, and --duration, count from; None: there are no such options
     """
     longest = max(gaps, key=lambda gap: gap.end - gap.begin, default=None)
     if longest is None or longest.seconds <= GAP_ALLOWED:
         return
+    what, doubt = f"{where}: {longest}, allowed: {GAP_ALLOWED:g} s", "a clock that was set, or stray messages?"
+    if window is None:
+        raise BagError(f"{what}; {doubt}")
+    zero, start = window
     after, before = (longest.end - zero) // 1_000 + 2, (longest.begin - start) // 1_000  # whole microseconds
     ways = [f"--start {after * 1e-6:.6f} begins after it"] if longest.end < STAMPS_END else []
     ways += [f"--duration {before * 1e-6:.6f} ends before it"] if before > 0 else []
-    allowed = f"allowed: {GAP_ALLOWED:g} s, or any with --allow-gaps"
-    raise BagError(f"{where}: {longest}, {allowed}; a clock that was set, or stray messages? {', '.join(ways)}")
+    raise BagError(f"{what}, or any with --allow-gaps; {doubt} {', '.join(ways)}")

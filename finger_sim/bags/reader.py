@@ -217,7 +217,7 @@ def commands_of(reader: BagReader, topic: str | None = None, *, allow_gaps: bool
     start, first_stamp = good[0].log_time, good[0].stamp
     gaps = list(gaps_in((row.log_time, chosen, row.number) for row in good))
     if not allow_gaps:
-        require_allowed(reader.path, gaps, start, start)
+        require_allowed(reader.path, gaps)
     position, orientation = _arrays(good)
     return Commands(
         topic=chosen,

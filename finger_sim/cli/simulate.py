@@ -239,7 +239,7 @@ def _play(options: argparse.Namespace) -> int:
     recorded = read_commands(path, options.topic, allow_gaps=True)
     commands = recorded.window(options.start, options.duration)
     if not options.allow_gaps:
-        require_allowed(path, commands.gaps, recorded.start, commands.start)
+        require_allowed(path, commands.gaps, (recorded.start, commands.start))
     if commands.gaps:
         say(f"finger_sim: warning: {path}: {told(commands.gaps)}: nothing is sent for so long")
     if commands.refused:

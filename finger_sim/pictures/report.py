@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..arrays import Floats, Ints
 from ..bags import cdr
 from ..bags.layout import POINT_DTYPE
-from ..bags.reader import BagReader, Message, commands_of
+from ..bags.reader import BagReader, commands_of
 from ..errors import BagError
 from ..physics.rotations import matrix, normalised
 from ..scene import Plane
@@ -82,16 +82,15 @@ def read_recording(bag: str | Path, plane: Plane | None) -> Recorded:
         for p, q in zip(commands.position, commands.orientation, strict=True)
     ]
 
-    messages = list(_of_type(reader, cdr.WRENCH_STAMPED, "contact_wrench"))
-    wrenches = [cdr.deserialize(m.data, m.type).wrench.force for m in messages]
-    forces = np.array([[f.x, f.y, f.z] for f in wrenches])
+    wrenches = [(logged, m.wrench.force) for logged, m in _of_type(reader, cdr.WRENCH_STAMPED, "contact_wrench")]
+    forces = np.array([[f.x, f.y, f.z] for _, f in wrenches])
     along = forces @ normal
     return Recorded(
         plane=plane,
         start=commands.start,
         command_time=commands.receipt,
         depth=-np.array(lowest),
-        wrench_time=_seconds([m.log_time for m in messages], commands.start),
+        wrench_time=_seconds([logged for logged, _ in wrenches], commands.start),
         normal=along,
         tangential=np.linalg.norm(forces - along[:, None] * normal, axis=1),
         peak=_peak(reader, triangles, commands.start),
@@ -136,15 +135,15 @@ def read_health(bag: str | Path, begin: int | None = None, end: int | None = Non
     reader = BagReader(bag)
     before: dict[str, str] | None = None
     reports: list[dict[str, str]] = []
-    for message in _of_type(reader, DIAGNOSTICS):
-        for status in cdr.deserialize(message.data, message.type).status:
+    for logged, report in _of_type(reader, DIAGNOSTICS):
+        for status in report.status:
             values = {item.key: item.value for item in status.values}
             if "step time p50 [ms]" in values:
-                if begin is not None and message.log_time <= begin:
+                if begin is not None and logged <= begin:
                     before = values
                 else:
                     reports.append(values)
-        if reports and end is not None and message.log_time >= end:
+        if reports and end is not None and logged >= end:
             break
     if not reports:
         raise BagError(f"{reader.path}: no report of a running simulation on /diagnostics")
@@ -177,14 +176,13 @@ def read_health(bag: str | Path, begin: int | None = None, end: int | None = Non
 def _peak(reader: BagReader, triangles: Ints, start: int) -> Moment:
     """Cloud with the largest sum of contact forces from the first command on; the first if all are zero."""
     peak, largest = None, -1.0
-    for message in _of_type(reader, cdr.POINT_CLOUD):
-        if message.log_time < start:
+    for logged, cloud in _of_type(reader, cdr.POINT_CLOUD):
+        if logged < start:
             continue
-        cloud = cdr.deserialize(message.data, message.type)
         points = np.frombuffer(cloud.data, POINT_DTYPE)
         force = float(np.linalg.norm([points[name].sum(dtype=np.float64) for name in ("fx", "fy", "fz")]))
         if force > largest:
-            peak, largest = (message.log_time, points), force
+            peak, largest = (logged, points), force
     if peak is None:
         raise BagError(f"{reader.path}: no cloud of points was recorded after the first command")
     logged, points = peak
@@ -207,13 +205,25 @@ def _seconds(times: Iterable[int], start: int) -> Floats:
 
 
 def _first(reader: BagReader, kind: str) -> Any:
-    message = next(_of_type(reader, kind))
-    return cdr.deserialize(message.data, message.type)
+    return next(_of_type(reader, kind))[1]
 
 
-def _of_type(reader: BagReader, kind: str, name: str = "") -> Iterator[Message]:
-    """Messages of the first topic of a type whose name ends in `name`. Raises BagError if there are none."""
+def _of_type(reader: BagReader, kind: str, name: str = "") -> Iterator[tuple[int, Any]]:
+    """Log times [ns] and messages on the first topic of a type whose name ends in `name`.
+
+    What cannot be decoded is passed over. Raises BagError if nothing is left.
+    """
     topics = [t.name for t in reader.topics if t.type == kind and t.name.endswith(name) and t.count]
     if not topics:
         raise BagError(f"{reader.path}: no {name or kind} was recorded")
-    return reader.messages([topics[0]], kind)
+    found, reason = False, "it is empty"
+    for message in reader.messages([topics[0]], kind):
+        try:
+            decoded = cdr.deserialize(message.data, kind)
+        except ValueError as error:
+            reason = str(error)
+            continue
+        found = True
+        yield message.log_time, decoded
+    if not found:
+        raise BagError(f"{reader.path}: topic {topics[0]}: nothing can be decoded: {reason}")

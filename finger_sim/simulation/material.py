@@ -126,7 +126,7 @@ class Material:
         """Long times without a message. Raises BagError for one that is too long to be simulated unasked."""
         gaps = list(gaps_in(self._received()))
         if self.mode == "free" and not self.selection.allow_gaps:
-            require_allowed(self.reader.path, gaps, self._zero, self.start)
+            require_allowed(self.reader.path, gaps, (self._zero, self.start))
         if gaps:
             rest = "; a finger at rest is not stepped in between" if self.mode == "free" else ""
             self.warnings.append(f"{self.reader.path}: {told(gaps)}{rest}")

@@ -197,3 +197,5 @@ def test_the_verb_tells_gaps_first(tmp_path: Path, capsys: pytest.CaptureFixture
     assert main(command) == 2
     assert "before message 3 on /command_pose, allowed: 600 s, or any with --allow-gaps" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+    assert main(["play", str(bag)]) == 2
+    assert "before message 3 on /command_pose, allowed: 600 s, or any with --allow-gaps" in capsys.readouterr().err
