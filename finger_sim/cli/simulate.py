@@ -134,6 +134,8 @@ def _run(options: argparse.Namespace) -> int:
     selection = Selection(options.topic, options.plane_topic, options.mode, options.start, options.duration)
     replay = Replay(scene, bag, selection)  # a mistake shows before kernels compile
     simulator = Simulator(replay.scene, progress=say)
+    for note in simulator.mesh.notes:
+        say(f"finger_sim: warning: {replay.scene.mesh.file}: {note}")
     try:
         with gauge(f"simulating {bag}") as meter:
             done = replay.run(out, meter, simulator=simulator)
