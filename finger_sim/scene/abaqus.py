@@ -6,6 +6,7 @@ element type that it does not know. Here whatever is no node, element, set, part
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -21,6 +22,8 @@ from .mesh_contents import Contents
 SOLIDS = {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra10", 13: "pyramid13", 15: "wedge15",
           20: "hexahedron20", 27: "hexahedron27"}  # fmt: skip
 """Kinds of solid elements by how many nodes they have."""
+LONGEST_RANGE = 10_000_000
+"""Members that one row of a set may generate: more than meshes here have nodes."""
 DEEPEST = 8
 """Files that may include each other, one within the other."""
 
@@ -53,9 +56,11 @@ class _Body:
         for place, row in rows:
             numbers = _numbers(row, place)
             if len(numbers) >= 7:
-                start, end = np.array(numbers[:3]), np.array(numbers[3:6])
-                axis = (end - start) / np.linalg.norm(end - start)
-                x = start + Rotation.from_rotvec(np.radians(numbers[6]) * axis).apply(x - start)
+                start, axis = np.array(numbers[:3]), np.subtract(numbers[3:6], numbers[:3])
+                length = float(np.linalg.norm(axis))
+                if not length > 0.0:
+                    raise MeshError(f"{place}: the two points of an axis to turn about are one")
+                x = start + Rotation.from_rotvec(np.radians(numbers[6]) / length * axis).apply(x - start)
             else:
                 x = x + np.array((numbers + [0.0, 0.0, 0.0])[:3])
         out.points = dict(zip(self.points, x.tolist(), strict=True))
@@ -181,11 +186,7 @@ class _Reader:
         for place, row in block.rows:
             words = [word.strip('"') for word in row if word]
             if "GENERATE" in block.given:
-                first, last, *step = (int(word) for word in _numbers(words, place))
-                if step[:1] == [0] or last < first:
-                    raise MeshError(f"{place}: got {', '.join(words)}, allowed: first, last and step of a range")
-                for number in range(first, last + 1, step[0] if step else 1):
-                    yield place, self._body_of(block), number
+                yield from ((place, self._body_of(block), number) for number in _range(words, place))
                 continue
             for word in words:
                 of, dot, rest = word.partition(".")
@@ -265,19 +266,31 @@ def _joined(rows: list[tuple[str, list[str]]], nodes_each: int | None) -> Iterat
         yield start, held
 
 
+def _range(words: list[str], place: str) -> range:
+    """First, last and step, 1 where it is left out."""
+    numbers = [int(word) for word in words if word.isdecimal()]
+    if len(numbers) == len(words) in (2, 3) and numbers[2:] != [0]:
+        found = range(numbers[0], numbers[1] + 1, *numbers[2:])
+        if 0 < len(found) <= LONGEST_RANGE:
+            return found
+    raise MeshError(f"{place}: got {', '.join(words)}, allowed: first, last and step of a range that holds something")
+
+
 def _numbers(words: list[str], place: str) -> list[float]:
     try:
-        return [float(word.upper().replace("D", "E")) for word in words if word]
+        return [float(word) for word in words if word]
     except ValueError:
+        with contextlib.suppress(ValueError):
+            return [float(word.upper().replace("D", "E")) for word in words if word]  # 1.5D-3, as Fortran writes it
         raise MeshError(f"{place}: got {', '.join(words)[:60]!r}, allowed: numbers") from None
 
 
 def _found(numbers: list[int], index: dict[int, int], who: str, place: str) -> list[int]:
     """Where nodes are in the mesh. Raises MeshError for a number that no node has."""
-    missing = [number for number in numbers if number not in index]
-    if missing:
-        raise MeshError(f"{place}: {who} names node {missing[0]}, which the file does not have")
-    return [index[number] for number in numbers]
+    try:
+        return [index[number] for number in numbers]
+    except KeyError as error:
+        raise MeshError(f"{place}: {who} names node {error.args[0]}, which the file does not have") from None
 
 
 def _name(block: _Block, parameter: str) -> str:

@@ -133,8 +133,7 @@ def _require_tets(contents: Contents) -> None:
         raise MeshError(f"no tets: the points are two-dimensional; {FILL}")
     if not contents.solids:
         others = ", ".join(f"{count} {kind}" for kind, count in contents.others.items())
-        found = f"cells of lower dimension alone: {others}" if others else "no cells"
-        raise MeshError(f"no tets: it holds {found}; {FILL}")
+        raise MeshError("no tets: " + (f"it holds {others} alone; {FILL}" if others else "it holds no cells"))
 
 
 def _between_corners(contents: Contents) -> Indices:
@@ -146,7 +145,7 @@ def _between_corners(contents: Contents) -> Indices:
     if len(hanging):
         listed = ", ".join(map(str, hanging[:LISTED])) + (", …" if len(hanging) > LISTED else "")
         raise MeshError(
-            f"tets of higher order have corners of other tets between their own ({len(hanging)} nodes: {listed}), so "
+            f"tets of higher order have corners of other tets between their own ({listed}), so "
             "that their corners alone leave gaps; mesh the body with tets of one order"
         )
     return inner
@@ -157,7 +156,7 @@ def _corners(contents: Contents) -> Contents:
     tets = np.concatenate([np.asarray(cells)[:, :4] for _, cells in contents.solids]).astype(np.int64)
     axes = None if contents.axes is None else [np.concatenate(contents.axes)]
     curved = sum(len(cells) for _, cells in contents.solids if np.shape(cells)[1] > 4)
-    note = f"{curved} tetrahedra of higher order are taken by their corners, with straight edges"
+    note = f"{_count(curved, 'tet')} of higher order taken by the corners, with straight edges"
     notes = (*contents.notes, note) if curved else contents.notes
     return contents._replace(solids=[("tetra", tets)], axes=axes, notes=notes)
 
@@ -168,7 +167,7 @@ def _once(contents: Contents) -> Contents:
     first = np.sort(np.unique(np.sort(tets, axis=1), axis=0, return_index=True)[1])
     if len(first) == len(tets):
         return contents
-    note = f"{len(tets) - len(first)} tetrahedra that the file has twice, as for two groups, are taken once"
+    note = f"{_count(len(tets) - len(first), 'duplicate tet')} left out, as written for a second group"
     axes = None if contents.axes is None else [contents.axes[0][first]]
     return contents._replace(solids=[("tetra", tets[first])], axes=axes, notes=(*contents.notes, note))
 
@@ -195,14 +194,18 @@ def _used_only(contents: Contents, between: Indices) -> Contents:
         lost = len(np.setdiff1d(nodes[~keep[nodes]], between))
         if lost and name in sets:
             notes.append(f"node set {name} loses {lost} of its {len(nodes)}")
-    unused = n - np.count_nonzero(keep) - len(between)
+    unused = n - int(np.count_nonzero(keep)) - len(between)
     if unused:
-        one = "a node that no tetrahedron has is" if unused == 1 else f"{unused} nodes that no tetrahedron has are"
-        more = [f"{len(notes) - LISTED} more sets lose some"] if len(notes) > LISTED else []
-        notes = ["; ".join([f"{one} left out, such as centres of arcs", *notes[:LISTED], *more])]
+        more = [f"{_count(len(notes) - LISTED, 'more set')} lose some"] if len(notes) > LISTED else []
+        first = f"{_count(unused, 'unreferenced node')} left out, in no tet, as centres of arcs are"
+        notes = ["; ".join([first, *notes[:LISTED], *more])]
     return contents._replace(
         points=contents.points[keep], solids=[(kind, index[tets])], node_sets=sets, notes=(*contents.notes, *notes)
     )
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 @contextlib.contextmanager
@@ -248,7 +251,7 @@ def _why(path: Path, error: BaseException, said: str) -> str:
     elif found == known == "gmsh" and not _ends_whole(path):
         return f" as {known}: it ends within a section: it was cut off"
     elif isinstance(error, SystemExit) and not _words(said, path):
-        strange = "it holds something that meshio does not know"
+        strange = "it holds something that is not known here"
         text = f" as {known}: {strange if found == known else 'it does not begin as such files do'}"
     else:
         text = f" as {known}: {_reason(error, said, path)}"
@@ -278,10 +281,10 @@ def _looks(path: Path) -> str:
 
 
 def _ends_whole(path: Path) -> bool:
-    """Whether a gmsh file ends with the end of a section."""
-    with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - 100))
-        return re.search(rb"\$End\w+\s*$", file.read()) is not None
+    """Whether a gmsh file ends with the end of a section that it begins."""
+    text = path.read_bytes()
+    end = re.search(rb"\$End(\w+)\s*$", text[-200:])
+    return end is not None and re.search(rb"\$" + end[1] + rb"\s", text) is not None
 
 
 def _words(said: str, path: Path) -> str:
@@ -301,9 +304,7 @@ def _reason(error: BaseException, said: str, path: Path) -> str:
         case OSError():
             return error.strerror or "it cannot be opened"
         case KeyError():
-            return (
-                f"it names {error.args[0]}, a node, cell or kind of cell that it does not have or meshio does not know"
-            )
+            return f"it names {error.args[0]}, a node, cell or kind of cell that it does not have or is not known here"
         case UnicodeDecodeError():
             return "it is not text, as such files are"
         case ET.ParseError():
@@ -314,4 +315,4 @@ def _reason(error: BaseException, said: str, path: Path) -> str:
             return _words(said, path)
     if type(error).__name__ == "ReadError" and found:
         return found
-    return "it was cut off, is damaged, or holds what meshio does not know"  # the parser's own words tell nothing
+    return "it was cut off, is damaged, or holds what is not known here"  # the parser's own words tell nothing

@@ -57,7 +57,7 @@ def does(capsys, *arguments):
     return capsys.readouterr().out
 
 
-@for_each("verb", [*VERBS, "mesh finger", "mesh beam"])
+@for_each("verb", [*VERBS, "mesh finger", "mesh beam", "mesh convert"])
 def test_help_of_every_verb_has_an_example_of_it(capsys, verb):
     """The example begins with the verb and holds no argument that the verb does not know."""
     with pytest.raises(SystemExit, match="0"):
@@ -130,6 +130,7 @@ def test_wrong_arguments_are_named(capsys, arguments, says):
         (["mesh", "beam", "-o", "beam.vtu", "--cells", "0", "1", "1"], "cells"),
         (["mesh", "beam", "-o", "block.yaml"], "exists already"),
         (["mesh", "beam", "-o", "beam.stl"], ".vtu"),
+        (["mesh", "convert", "notes.txt", "-o", "mesh.vtu"], "notes.txt: unreadable"),
         (["mesh", "beam", "-o", "nowhere/beam.vtu"], "nowhere"),
         (["mesh", "finger", "-o", "finger.vtu", "--tets", "0"], "tets: got 0"),
     ],
