@@ -58,8 +58,8 @@ class _Body:
             if len(numbers) >= 7:
                 start, axis = np.array(numbers[:3]), np.subtract(numbers[3:6], numbers[:3])
                 length = float(np.linalg.norm(axis))
-                if not length > 0.0:
-                    raise MeshError(f"{place}: the two points of an axis to turn about are one")
+                if not 0.0 < length < np.inf or not np.isfinite(numbers).all():
+                    raise MeshError(f"{place}: got {', '.join(row)}, allowed: two points of an axis, and an angle")
                 x = start + Rotation.from_rotvec(np.radians(numbers[6]) / length * axis).apply(x - start)
             else:
                 x = x + np.array((numbers + [0.0, 0.0, 0.0])[:3])

@@ -37,6 +37,7 @@ _EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 DEGENERATE = 1e-6  # 6 V / (longest edge)^3 at or below which a tet counts as flat; a regular tet has 0.71
 LONGEST, SHORTEST = 1.5, 1e-3  # of a finger, or the paper's beam of 1 m [m]; a fingertip in millimetres has 20
 LISTED = 30  # node sets that an error lists
+TOO_FAR = 1e100  # coordinate from which on a point counts as not finite: the cube of a length must be [m]
 COINCIDENT = 1e-9  # distance / mesh diagonal at or below which two nodes count as one
 REMEDIES = {
     "unreferenced node": "leave out what no tet has",
@@ -90,6 +91,8 @@ class TetMesh:
         t = _array(tets, (4,), "tets", np.int64)
         if len(t) == 0:
             raise MeshError("no tets: the mesh has no 4-node tetrahedra")
+        if len(x) == 0:
+            raise MeshError("no points")
         a = np.broadcast_to(np.eye(3), (len(t), 3, 3)) if axes is None else np.asarray(axes, dtype=np.float64)
         if a.size != 9 * len(t) or a.shape[0] != len(t):
             raise MeshError(f"axes: expected 9 numbers for each of {len(t)} tets, got shape {a.shape}")
@@ -266,7 +269,7 @@ def _named(what: str, which: Sequence[object] | NDArray[Any]) -> list[str]:
 
 def _defects(x: Floats, t: NDArray[np.int64]) -> list[str]:
     """What is wrong with nodes and tets, each by name, count and first indices."""
-    finite: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(x), axis=1)
+    finite: NDArray[np.bool_] = np.logical_and.reduce(np.abs(x) < TOO_FAR, axis=1)
     foreign = (t < 0).any(axis=1) | (t >= len(x)).any(axis=1)
     ordered = np.sort(t, axis=1)
     repeated = ~foreign & (np.diff(ordered, axis=1) == 0).any(axis=1)

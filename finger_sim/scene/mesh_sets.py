@@ -54,11 +54,10 @@ def _of_points(mesh: Any) -> Iterator[tuple[str, Indices]]:
         values = _flat(data)
         if values is None or name in NOT_NAMES:
             continue
-        names = getattr(mesh, "point_tags", {}) if name == "point_tags" else {}
-        for tag, given in names.items():
-            for one in given:
-                yield one, np.flatnonzero(values == tag)
-        if OF_FORMATS.match(name):
+        if name == "point_tags":  # of MED: numbers of families, which have names
+            for tag, names in getattr(mesh, "point_tags", {}).items():
+                yield from ((given, np.flatnonzero(values == tag)) for given in names)
+        elif OF_FORMATS.match(name):
             for tag in filter(None, _tags(values)):
                 yield f"{KINDS[0]} {name}={tag}", np.flatnonzero(values == tag)
         elif np.isin(values, (0, 1)).all():
