@@ -312,6 +312,8 @@ UNREADABLE = {
     "kind.msh": (GMSH_22.replace("\n2 4 2", "\n2 133 2"), "as gmsh: it names 133, a node, cell or kind of cell"),
     "other.msh": ("<?xml version='1.0'?><VTKFile type='x'>", "it looks like VTU: end its name in .vtu"),
     "packed.msh": (b"\x1f\x8b\x08\x00" + bytes(40), "it is compressed: unpack it first"),
+    "begun.bdf": ("BEGIN BULK\n", "as NASTRAN: there is no BEGIN BULK with an ENDDATA after it: it was cut off"),
+    "begun.node": ("# nodes\n", "as TetGen: it was cut off, or is damaged"),
     "m.e": ("CDF\x01", "as Exodus: that needs the Python package netCDF4: pip install netCDF4"),
     "m.unv": ("    -1\n", "the ending '.unv' belongs to no format that is read: VTU (.vtu), legacy VTK (.vtk), gmsh"),
 }
