@@ -33,9 +33,9 @@ def add_mesh(verbs: Any) -> None:
         kinds,
         "convert",
         _convert,
-        "a .vtu of any file that scenes can name, with its node sets",
+        "a .vtu of a mesh in another format or unit, with its node sets",
         "finger_sim mesh convert hand.msh -o hand.vtu --scale 0.001",
-        more="Scenes read such files as they are; convert what is not in metres.",
+        more="Scenes read meshes of other formats as they are; convert what is not in metres.",
     )
     convert.add_argument("file", type=Path, metavar="FILE", help="mesh of tetrahedra")
     convert.add_argument(

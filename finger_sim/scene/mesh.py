@@ -26,6 +26,7 @@ from scipy.spatial import cKDTree
 from finger_sim.errors import MeshError
 from finger_sim.plain import whole_file
 from finger_sim.scene import mesh_files
+from finger_sim.scene.mesh_failures import REMEDIES
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -39,18 +40,6 @@ LONGEST, SHORTEST = 1.5, 1e-3  # of a finger, or the paper's beam of 1 m [m]; a 
 LISTED = 30  # node sets that an error lists
 TOO_FAR = 1e100  # coordinate from which on a point counts as not finite: the cube of a length must be [m]
 COINCIDENT = 1e-9  # distance / mesh diagonal at or below which two nodes count as one
-REMEDIES = {
-    "unreferenced node": "leave out what no tet has",
-    "duplicate node": "merge nodes at one place into one (gmsh: Coherence Mesh)",
-    "duplicate tet": "keep one of each",
-    "zero-volume tet": "take it out of the surface, or mesh again (gmsh: Optimize 3D)",
-    "inverted tet": "number the nodes of all tets alike (swap two), or mesh again where the body is folded",
-    "non-manifold face": "keep two of the tets at a face: bodies overlap, or were meshed twice",
-    "disconnected piece": "keep one body, or join them by merging the nodes where they touch (gmsh: Coherence Mesh)",
-    "not-orthonormal axes triad": "cell data axes are three unit vectors, at right angles, row by row",
-    "left-handed axes triad": "reverse one axis of each",
-}
-"""What to do about a defect."""
 ORTHONORMAL = 1e-5  # largest entry of A A^T - I of material axes; leaves room for axes stored as float32
 
 

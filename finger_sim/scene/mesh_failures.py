@@ -1,4 +1,4 @@
-"""Why a file of a mesh cannot be read, in words: what it was taken for, what is wrong with it, what to do.
+"""Why a mesh cannot be read or used, in words: what a file was taken for, what is wrong with it, what to do.
 
 meshio reports by printing, by leaving the process, and by whatever a parser stumbles over.
 """
@@ -37,6 +37,19 @@ READ_BY_GMSH = {"gmsh", "Salome MED", "Medit", "NASTRAN", "legacy VTK"}
 """Formats of which gmsh may read what meshio does not."""
 GEOMETRY = {".step", ".stp", ".iges", ".igs", ".brep", ".geo", ".stl", ".obj", ".ply", ".off"}
 """How the names of files end that describe a surface or a body, which has yet to be filled with tets."""
+
+REMEDIES = {
+    "unreferenced node": "leave out what no tet has",
+    "duplicate node": "merge nodes at one place into one (gmsh: Coherence Mesh)",
+    "duplicate tet": "keep one of each",
+    "zero-volume tet": "take it out of the surface, or mesh again (gmsh: Optimize 3D)",
+    "inverted tet": "number the nodes of all tets alike (swap two), or mesh again where the body is folded",
+    "non-manifold face": "keep two of the tets at a face: bodies overlap, or were meshed twice",
+    "disconnected piece": "keep one body, or join them by merging the nodes where they touch (gmsh: Coherence Mesh)",
+    "not-orthonormal axes triad": "cell data axes are three unit vectors, at right angles, row by row",
+    "left-handed axes triad": "reverse one axis of each",
+}
+"""What to do about defects of a mesh that was read, by their names."""
 
 SAVE_ANEW = "gmsh, where it reads the file, saves it anew: gmsh FILE -save -format msh41 -o NEW.msh"
 FILL = "fill the body with tetrahedra first: in gmsh, a Volume inside of the surface, then gmsh -3 FILE.geo -o FILE.msh"
