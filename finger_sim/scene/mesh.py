@@ -149,7 +149,7 @@ class TetMesh:
             return []
         command = f"finger_sim mesh convert {shlex.quote(str(path))} -o {shlex.quote(path.stem)}_in_m.vtu --scale"
         mend = f"{command} 0.001 for millimetres, 0.01 for centimetres" if length > LONGEST else f"{command} 1000"
-        return [f"it is {length:.3g} m long, as lengths are taken for metres; if they are none: {mend}"]
+        return [f"it is {length:.3g} m long, as lengths are taken for metres; if they are in another unit: {mend}"]
 
     def save(self, path: str | Path) -> None:
         """Write a VTU file in VTK's node order, node sets as point data, axes as cell data `axes`.
