@@ -1,4 +1,4 @@
-"""The verb that makes meshes."""
+"""The verb that makes meshes, and makes meshes of others' files."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from .common import DONE, verb
+from .common import DONE, positive, verb
 
 
 def add_mesh(verbs: Any) -> None:
-    mesh = verb(verbs, "mesh", None, "make a mesh of a finger or a beam", "finger_sim mesh beam -o beam.vtu")
-    kinds = mesh.add_subparsers(title="kinds", metavar="finger|beam", required=True)
+    mesh = verb(verbs, "mesh", None, "make a mesh of a finger, a beam or a file", "finger_sim mesh beam -o beam.vtu")
+    kinds = mesh.add_subparsers(title="kinds", metavar="finger|beam|convert", required=True)
     finger = verb(
         kinds,
         "finger",
@@ -29,23 +29,62 @@ def add_mesh(verbs: Any) -> None:
     )
     beam.add_argument("--size", type=float, nargs=3, metavar=("X", "Y", "Z"), help="edges [m] (default: 1 0.2 0.2)")
     beam.add_argument("--cells", type=int, nargs=3, metavar=("X", "Y", "Z"), help="bricks (default: 10 2 2)")
-    for kind, name in ((finger, "finger"), (beam, "beam")):
+    convert = verb(
+        kinds,
+        "convert",
+        _convert,
+        "a .vtu of a mesh in another format or unit, with its node sets",
+        "finger_sim mesh convert hand.msh -o hand.vtu --scale 0.001",
+        more="Scenes read meshes of other formats as they are; convert what is not in metres.",
+    )
+    convert.add_argument("file", type=Path, metavar="FILE", help="mesh of tetrahedra")
+    convert.add_argument(
+        "--scale",
+        type=positive,
+        default=1.0,
+        metavar="FACTOR",
+        help="of lengths; 0.001 for millimetres (default: 1)",
+    )
+    for kind, name in ((finger, "finger"), (beam, "beam"), (convert, "convert")):
         kind.set_defaults(kind=name)
         kind.add_argument("-o", "--out", type=Path, required=True, metavar="FILE.vtu", help="file to make")
         kind.add_argument("--force", action="store_true", help="overwrite the file")
 
 
 def _mesh(options: argparse.Namespace) -> int:
-    from ..bags.reader import require_absent
-    from ..console import show
-    from ..pictures.info import info
     from ..scene.meshing import write_mesh
 
-    if not options.force:
-        require_absent(options.out)
+    _require_absent(options)
     given = {name: getattr(options, name, None) for name in ("tets", "size", "cells")}
     asked = {name: value for name, value in given.items() if value is not None}
     write_mesh(options.kind, options.out, **asked)
-    for title, table in info(str(options.out)):
+    return _shown(options.out)
+
+
+def _convert(options: argparse.Namespace) -> int:
+    from ..console import say
+    from ..scene.mesh import TetMesh
+
+    _require_absent(options)
+    mesh = TetMesh.load(options.file, options.scale)
+    mesh.save(options.out)
+    for note in mesh.notes:
+        say(f"finger_sim: warning: {note}")
+    return _shown(options.out)
+
+
+def _require_absent(options: argparse.Namespace) -> None:
+    from ..bags.reader import require_absent
+
+    if not options.force:
+        require_absent(options.out)
+
+
+def _shown(file: Path) -> int:
+    """Tells what a file that was made holds."""
+    from ..console import show
+    from ..pictures.info import info
+
+    for title, table in info(str(file)):
         show(title, table)
     return DONE

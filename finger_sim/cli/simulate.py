@@ -142,6 +142,8 @@ def _run(options: argparse.Namespace) -> int:
     for warning in replay.warnings:
         say(f"finger_sim: warning: {warning}")
     simulator = Simulator(replay.scene, progress=say)
+    for note in simulator.mesh.notes:
+        say(f"finger_sim: warning: {replay.scene.mesh.file}: {note}")
     try:
         with gauge(f"simulating {bag}") as meter:
             done = replay.run(out, meter, simulator=simulator)

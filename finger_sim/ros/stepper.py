@@ -98,6 +98,8 @@ class Stepper:
     def prepare(self, progress: Callable[[str], None]) -> None:
         """Loads mesh and kernels. Raises FingerSimError."""
         self.sim = Simulator(self.scene, progress=progress)
+        for note in self.sim.mesh.notes:
+            self._log.warning(f"{self.scene.mesh.file}: {note}")
         self._take_budget()
         self._outputs.prepare(self.sim.mesh)
 

@@ -7,8 +7,8 @@ differ by one swap of nodes: `load` accepts both, `save` writes VTK's.
 
 from __future__ import annotations
 
-import contextlib
-import io
+import dataclasses
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,6 +25,8 @@ from scipy.spatial import cKDTree
 
 from finger_sim.errors import MeshError
 from finger_sim.plain import whole_file
+from finger_sim.scene import mesh_files
+from finger_sim.scene.mesh_failures import REMEDIES
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -34,6 +36,9 @@ FACES = np.array([[0, 2, 3], [1, 0, 3], [2, 1, 3], [0, 1, 2]])
 _EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 DEGENERATE = 1e-6  # 6 V / (longest edge)^3 at or below which a tet counts as flat; a regular tet has 0.71
+LONGEST, SHORTEST = 1.5, 1e-3  # of a finger, or the paper's beam of 1 m [m]; a fingertip in millimetres has 20
+LISTED = 30  # node sets that an error lists
+TOO_FAR = 1e100  # coordinate from which on a point counts as not finite: the cube of a length must be [m]
 COINCIDENT = 1e-9  # distance / mesh diagonal at or below which two nodes count as one
 ORTHONORMAL = 1e-5  # largest entry of A A^T - I of material axes; leaves room for axes stored as float32
 
@@ -47,6 +52,7 @@ class TetMesh:
     surface:   (k, 3) int32, boundary triangles, counter-clockwise seen from outside
     node_sets: name -> (m,) int32, sorted node indices
     axes:      (T, 3, 3) float64, row k of axes[t] is the material axis e_{k+1} of tet t in mesh coordinates
+    notes:     what the user should know about the file that it was read from; none where it was not
     """
 
     points: Floats
@@ -54,6 +60,7 @@ class TetMesh:
     surface: Ints
     node_sets: Mapping[str, Ints]
     axes: Floats
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def from_arrays(
@@ -65,13 +72,16 @@ class TetMesh:
     ) -> TetMesh:
         """Mesh of `points` (n, 3) [m] and `tets` (T, 4), all of one orientation, either one.
 
-        `node_sets` maps names to node indices; `axes` is (T, 3, 3) or (T, 9), identity when left out.
-        Raises MeshError that names every defect and its count.
+        `node_sets` maps names to node indices; `axes` is (T, 3, 3) or (T, 9), identity when left out. Nothing is
+        renumbered or left out, so that arrays of the caller's still fit the mesh.
+        Raises MeshError that names every defect, its count and what to do about it.
         """
         x = _array(points, (3,), "points", np.float64)
         t = _array(tets, (4,), "tets", np.int64)
         if len(t) == 0:
             raise MeshError("no tets: the mesh has no 4-node tetrahedra")
+        if len(x) == 0:
+            raise MeshError("no points")
         a = np.broadcast_to(np.eye(3), (len(t), 3, 3)) if axes is None else np.asarray(axes, dtype=np.float64)
         if a.size != 9 * len(t) or a.shape[0] != len(t):
             raise MeshError(f"axes: expected 9 numbers for each of {len(t)} tets, got shape {a.shape}")
@@ -93,18 +103,53 @@ class TetMesh:
         )
 
     @classmethod
-    def load(cls, path: str | Path) -> TetMesh:
-        """Mesh of a file of any format that meshio reads, lengths in metres.
+    def load(cls, path: str | Path, scale: float = 1.0) -> TetMesh:
+        """Mesh of a file of any format that meshio reads, or Abaqus, its lengths times `scale` in metres.
 
-        Its 4-node tets are taken; points, lines and surface cells are ignored. Point data of zeros and ones
-        become node sets of the same name, cell data `axes` (9 numbers a tet, row by row) the material axes.
+        Its tets are taken, those of higher order by their corners; nodes that no tet has are left out, and points,
+        lines and surface cells ignored. Node sets are those of the file, the nodes of its named or numbered cells
+        (see mesh_sets.py), and point or cell data of zeros and ones; cell data `axes` (9 numbers a tet, row by row)
+        are the material axes. What was left out is told in `notes`.
         Raises MeshError naming the file and what is wrong with it.
         """
-        path = Path(path)
+        path, left_out = Path(path), ""
         try:
-            return cls.from_arrays(*_read(path))
+            read = mesh_files.read(path)
+            left_out = (
+                f". Numbers count from 0 without what was left out: {'; '.join(read.notes)}" if read.notes else ""
+            )
+            axes = None if read.axes is None else read.axes[0]
+            mesh = cls.from_arrays(scale * read.points, read.solids[0][1], read.node_sets, axes)
         except MeshError as error:
-            raise MeshError(f"{path}: {error}") from error.__cause__
+            raise MeshError(f"{path}: {error}{left_out}") from error.__cause__
+        return dataclasses.replace(mesh, notes=(*read.notes, *mesh._doubts(path)))
+
+    def node_set(self, name: str) -> Ints:
+        """Indices of the nodes of a set: of that name, or the only one of that name in other letters, BONE for bone.
+
+        Raises MeshError that says which sets there are, and how to make one.
+        """
+        alike = [own for own in self.node_sets if own.casefold() == name.casefold()]
+        if name in self.node_sets or len(alike) == 1:
+            return self.node_sets[name if name in self.node_sets else alike[0]]
+        if alike:
+            raise MeshError(f"no node set is named {name!r}, but {' and '.join(alike)} are: write one as it is there")
+        sets = sorted(self.node_sets)
+        more = f", … ({len(sets)} in all)" if len(sets) > LISTED else ""
+        raise MeshError(
+            f"no node set is named {name!r}; there are: {', '.join(sets[:LISTED]) or 'none'}{more}. To make one: "
+            f'in gmsh Physical Surface("{name}") = {{…}} beside a Physical Volume, in Abaqus *NSET, NSET={name}, '
+            f"in other files point data {name} of zeros and ones"
+        )
+
+    def _doubts(self, path: Path) -> list[str]:
+        """What makes the lengths doubtful, and the command that mends them."""
+        length = float(np.ptp(self.points, axis=0).max())
+        if SHORTEST <= length <= LONGEST:
+            return []
+        command = f"finger_sim mesh convert {shlex.quote(str(path))} -o {shlex.quote(path.stem)}_in_m.vtu --scale"
+        mend = f"{command} 0.001 for millimetres, 0.01 for centimetres" if length > LONGEST else f"{command} 1000"
+        return [f"it is {length:.3g} m long, as lengths are taken for metres; if they are in another unit: {mend}"]
 
     def save(self, path: str | Path) -> None:
         """Write a VTU file in VTK's node order, node sets as point data, axes as cell data `axes`.
@@ -164,45 +209,8 @@ class TetMesh:
             "edges": f"{1e3 * lengths.min():.4g} to {1e3 * lengths.max():.4g} mm",
             "smallest dihedral angle": f"{np.degrees(self.min_dihedral_angles.min()):.1f}°",
             "material axes": "e1 e2 e3 = x y z" if identity else "given for each tet",
+            **{f"note{f' {k}' * (k > 1)}": text for k, text in enumerate(self.notes, start=1)},
         }
-
-
-def _read(path: Path) -> tuple[Floats, NDArray[np.int64], dict[str, ArrayLike], Floats | None]:
-    """Points, tets, node sets and axes of a file, unchecked. Raises MeshError when it has none to check."""
-    if not path.exists():
-        raise MeshError("file not found")
-    if path.is_dir():
-        raise MeshError("is a folder, not a mesh file")
-    if path.stat().st_size == 0:
-        raise MeshError("empty file")
-    said = io.StringIO()  # meshio prints what it thinks of a file, and may even exit
-    try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            mesh = meshio.read(path)
-    except (Exception, SystemExit) as error:
-        reason = " ".join(said.getvalue().split()) or str(error) or type(error).__name__
-        raise MeshError(f"unreadable: meshio says: {reason}") from error
-
-    foreign = [b for b in mesh.cells if b.dim == 3 and b.type != "tetra" and len(b.data)]
-    if foreign:
-        named = ", ".join(f"{len(b.data)} {b.type}" for b in foreign)
-        raise MeshError(f"cells that are not 4-node tetrahedra: {named}")
-    tetra = [i for i, block in enumerate(mesh.cells) if block.type == "tetra"]
-    tets = np.concatenate([mesh.cells[i].data for i in tetra]) if tetra else np.empty((0, 4), dtype=np.int64)
-    axes = mesh.cell_data.get("axes")
-    if axes is not None:
-        axes = np.concatenate([np.asarray(axes[i]) for i in tetra]) if tetra else None
-    points = np.asarray(mesh.points, dtype=np.float64)
-    if points.ndim == 2 and points.shape[1] == 2:
-        raise MeshError("no tets: the points are two-dimensional")
-    return points, tets, _masks(mesh.point_data), axes
-
-
-def _masks(point_data: Mapping[str, Any]) -> dict[str, ArrayLike]:
-    """Node indices of every scalar point datum that holds zeros and ones only."""
-    masks = {name: np.asarray(data) for name, data in point_data.items()}
-    masks = {k: m.reshape(-1) if m.ndim == 2 and m.shape[1] == 1 else m for k, m in masks.items()}
-    return {k: np.flatnonzero(m) for k, m in masks.items() if m.ndim == 1 and np.isin(m, (0, 1)).all()}
 
 
 def _array(values: ArrayLike, tail: tuple[int, ...], name: str, dtype: type[Any]) -> NDArray[Any]:
@@ -240,16 +248,17 @@ def _boundary(tets: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _named(what: str, which: Sequence[object] | NDArray[Any]) -> list[str]:
-    """["3 inverted tets (4, 7, 9)"], five named at most; nothing when `which` is empty."""
+    """["3 inverted tets (4, 7, 9): REMEDY"], five named at most; nothing when `which` is empty."""
     if len(which) == 0:
         return []
     listed = ", ".join(str(one) for one in which[:5]) + (", …" if len(which) > 5 else "")
-    return [f"{len(which)} {what}{'s' * (len(which) > 1)} ({listed})"]
+    remedy = f": {REMEDIES[what]}" if what in REMEDIES else ""
+    return [f"{len(which)} {what}{'s' * (len(which) > 1)} ({listed}){remedy}"]
 
 
 def _defects(x: Floats, t: NDArray[np.int64]) -> list[str]:
     """What is wrong with nodes and tets, each by name, count and first indices."""
-    finite: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(x), axis=1)
+    finite: NDArray[np.bool_] = np.logical_and.reduce(np.abs(x) < TOO_FAR, axis=1)
     foreign = (t < 0).any(axis=1) | (t >= len(x)).any(axis=1)
     ordered = np.sort(t, axis=1)
     repeated = ~foreign & (np.diff(ordered, axis=1) == 0).any(axis=1)

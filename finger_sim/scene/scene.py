@@ -23,6 +23,9 @@ from .pose import FARTHEST, Pose, Vec3
 from .resources import find_mesh, find_scene
 from .yaml_text import YamlText
 
+BOX = "{box: [[x0, y0, z0], [x1, y1, z1]]}"
+"""How a scene selects driven nodes by where they are."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
@@ -126,13 +129,12 @@ class Scene:
         if isinstance(self.driven, Box):
             inside = np.all((mesh.points >= self.driven.low) & (mesh.points <= self.driven.high), axis=1)
             nodes = np.flatnonzero(inside).astype(np.int32)
-        elif self.driven in mesh.node_sets:
-            nodes = np.asarray(mesh.node_sets[self.driven], np.int32)
         else:
-            raise MeshError(
-                f"driven: the mesh has no node set {self.driven!r}; it has: "
-                f"{', '.join(sorted(mesh.node_sets)) or 'none'}"
-            )
+            try:
+                nodes = np.asarray(mesh.node_set(self.driven), np.int32)
+            except MeshError as error:
+                of = f" in {self.mesh.file}" if self.mesh.file else ""
+                raise MeshError(f"driven{of}: {error}; or drive the nodes in a box: driven: {BOX}") from None
         if nodes.size == 0:
             raise MeshError(
                 f"driven: {to_dict(self)['driven']!r} selects no node of the mesh; leave the key out for a free body"
@@ -168,7 +170,7 @@ def _parsed(data: Any) -> Scene:
 def _parse_driven(value: Any) -> str | Box | None:
     if value is None or isinstance(value, str | Box):
         return value
-    allowed = "a node set of the mesh, {box: [[x0, y0, z0], [x1, y1, z1]]} in metres, or left out"
+    allowed = f"a node set of the mesh, {BOX} in metres, or left out"
     if isinstance(value, Mapping) and set(value) == {"box"}:
         corner = Field("vec3", "corner", low=-FARTHEST, high=FARTHEST)
         corners = value["box"]

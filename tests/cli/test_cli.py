@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 from cases import for_each
@@ -15,6 +16,7 @@ from cases import for_each
 from finger_sim.bags.cdr import POSE_STAMPED, pose_stamped
 from finger_sim.bags.reader import BagReader, BagWriter, write_commands
 from finger_sim.cli import main
+from finger_sim.scene.meshing import beam
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 VERBS = (
@@ -57,7 +59,7 @@ def does(capsys, *arguments):
     return capsys.readouterr().out
 
 
-@for_each("verb", [*VERBS, "mesh finger", "mesh beam"])
+@for_each("verb", [*VERBS, "mesh finger", "mesh beam", "mesh convert"])
 def test_help_of_every_verb_has_an_example_of_it(capsys, verb):
     """The example begins with the verb and holds no argument that the verb does not know."""
     with pytest.raises(SystemExit, match="0"):
@@ -130,6 +132,7 @@ def test_wrong_arguments_are_named(capsys, arguments, says):
         (["mesh", "beam", "-o", "beam.vtu", "--cells", "0", "1", "1"], "cells"),
         (["mesh", "beam", "-o", "block.yaml"], "exists already"),
         (["mesh", "beam", "-o", "beam.stl"], ".vtu"),
+        (["mesh", "convert", "notes.txt", "-o", "mesh.vtu"], "notes.txt: unreadable"),
         (["mesh", "beam", "-o", "nowhere/beam.vtu"], "nowhere"),
         (["mesh", "finger", "-o", "finger.vtu", "--tets", "0"], "tets: got 0"),
     ],
@@ -183,6 +186,15 @@ def test_info_of_a_bag_whole_and_cut_off(capsys, here):
     text = does(capsys, "info", "touch")
     assert re.search(r"^whole +no: .*cut off", text, re.MULTILINE)
     assert does(capsys, "info", "touch/metadata.yaml").splitlines()[1:] == text.splitlines()[1:]
+
+
+def test_run_tells_what_a_mesh_lost(capsys, here):
+    """A node that no tetrahedron has, by file and number, on stderr."""
+    body = beam((0.02, 0.01, 0.01), (2, 1, 1))
+    meshio.write("block.vtu", meshio.Mesh([*body.points, [1, 1, 1]], [("tetra", body.tets)]))
+    Path("block.yaml").write_text(re.sub(r"(?m)^mesh: .*", "mesh: {file: block.vtu}", SCENE))
+    assert main(["run", "block.yaml", "--bag", "commands"]) == 0
+    assert f"warning: {here / 'block.vtu'}: 1 unreferenced node left out" in capsys.readouterr().err
 
 
 def test_mesh_makes_what_info_shows(capsys, here):

@@ -55,6 +55,18 @@ def test_a_target_of_the_plane_is_taken_once() -> None:
     assert taken == [targets[0], None, targets[1], None]
 
 
+def test_what_the_file_of_a_mesh_lost_is_logged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each note as a warning that names the file."""
+    warned: list[str] = []
+    made: Any = SimpleNamespace(mesh=SimpleNamespace(notes=("2 nodes left out", "it is 10 m long")))
+    monkeypatch.setattr("finger_sim.ros.stepper.Simulator", lambda scene, progress: made)
+    monkeypatch.setattr(Stepper, "_take_budget", lambda _: None)
+    scene, outputs = Scene.load("finger_coupled"), SimpleNamespace(prepare=lambda mesh: None)
+    clock: Any = None
+    Stepper(scene, outputs, clock, SimpleNamespace(warning=warned.append)).prepare(print)  # type: ignore[arg-type]
+    assert warned == [f"{scene.mesh.file}: {note}" for note in made.mesh.notes]
+
+
 class Changing(Outputs):
     """Its options change with every look at them, as where another thread sets parameters."""
 

@@ -136,6 +136,7 @@ DEFECTS = {
     "unreferenced": ([*POINTS, [5, 5, 5], [6, 5, 5]], TETS, "2 unreferenced nodes (5, 6)"),
     "not finite": ([*POINTS[:4], [np.nan, 0, 0]], TETS, "1 non-finite point (4)"),
     "infinite": ([*POINTS[:4], [0, np.inf, 0]], TETS, "1 non-finite point (4)"),
+    "far away": ([*POINTS[:4], [0, 1e200, 0]], TETS, "1 non-finite point (4)"),
     "out of range": (POINTS, [*TETS, [0, 1, 2, 5]], "1 index-out-of-range tet (2)"),
     "negative index": (POINTS, [*TETS, [0, 1, 2, -1]], "1 index-out-of-range tet (2)"),
     "repeated node": (POINTS, [*TETS, [0, 1, 1, 4]], "1 repeated-node tet (2)"),
