@@ -28,8 +28,8 @@ import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
 
 from . import lowering  # noqa: F401  (lanes mean nothing to the compiler without it)
-from .folders import UnsafeError, alone, empty, private, read_only, use
-from .kept import DamagedError, Kept
+from .folders import UnsafeError, alone, private, read_only, use
+from .kept import DamagedError, Kept, remove_damaged
 from .progress import counted, is_there
 from .sources import digest, imported
 
@@ -260,7 +260,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
             _turns[-1].wait()  # for another process that may be making it
             loaded, damage = self._load(signature, target_context)
         if damage:
-            _drop(damage)
+            _mend(damage)
         if loaded is not None:
             is_there(self._py_func)
         elif _turns:
@@ -292,14 +292,14 @@ class _NoCache(NullCache):  # type: ignore[misc]
         is_there(self._function)
 
 
-def _drop(damage: str) -> None:
-    """Nothing of a folder is trusted of which a part is damaged. Says so once."""
+def _mend(damage: str) -> None:
+    """Where a part of the folder is damaged, others may be: all that is goes, to be compiled anew. Says so once."""
     folder = cache_folder()
     if folder is not None:
         if not _damaged:
-            _log.warning("compiled kernels in %s are damaged, they are compiled anew: %s", folder, damage)
+            _log.warning("damaged kernels in %s are removed and compiled anew: %s", folder, damage)
         _damaged.append(damage)
-        empty(folder, LOCK)
+        remove_damaged(folder)
 
 
 def _cannot_keep(error: OSError) -> None:

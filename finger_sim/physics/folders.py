@@ -98,18 +98,6 @@ def read_only(home: Path, name: str) -> Path:
     return folder
 
 
-def empty(folder: Path, *kept: str) -> None:
-    """Removes what is in a folder and can be removed, but for the files `kept` and its lock.
-
-    The folder stays, and so do the locks that other processes hold in it: they go on with what they have loaded.
-    """
-    with contextlib.suppress(OSError):
-        for file in folder.iterdir():
-            if file.name not in (IN_USE, *kept):
-                with contextlib.suppress(OSError):
-                    file.unlink()
-
-
 def prune(home: Path, mine: Path) -> None:
     """Remove folders of kernels that are long unused, or more than KEPT; never one that a process uses."""
     used: list[tuple[float, Path]] = []

@@ -17,6 +17,8 @@ from typing import Any
 from numba.core.serialize import dumps
 
 _DIGEST = hashlib.sha256().digest_size
+_IN_NAME = 16
+"""Hexadecimal digits of its digest in the name of a file: enough to tell the versions of a function apart."""
 
 
 class DamagedError(Exception):
@@ -57,7 +59,7 @@ class Kept:
         _write(self._index, hashlib.sha256(index).digest() + index)
 
     def _file(self, digest: bytes) -> Path:
-        return self._folder / f"{self._name}.{digest.hex()[:16]}.nbc"
+        return self._folder / f"{self._name}.{digest.hex()[:_IN_NAME]}.nbc"
 
     def _versions(self) -> dict[Hashable, bytes]:
         """Digest of each version. Raises DamagedError."""
@@ -66,6 +68,28 @@ class Kept:
             return {}
         stamp, versions = _unpickled(self._index, content[_DIGEST:], content[:_DIGEST])
         return versions if stamp == self._stamp else {}
+
+
+def remove_damaged(folder: Path) -> None:
+    """Files of a folder that are not whole go, where they can; processes that use it go on with what they loaded.
+
+    What an index named goes with it: nothing would name it any more.
+    """
+    damaged = [file for file in folder.glob("*.nb[ic]") if not _whole(file)]
+    unnamed = [file for index in damaged if index.suffix == ".nbi" for file in folder.glob(f"{index.stem}.*.nbc")]
+    for file in damaged + unnamed:
+        with contextlib.suppress(OSError):
+            file.unlink()
+
+
+def _whole(file: Path) -> bool:
+    try:
+        content = _content(file) or b""
+    except DamagedError:
+        return False
+    if file.suffix == ".nbi":
+        return hashlib.sha256(content[_DIGEST:]).digest() == content[:_DIGEST]
+    return hashlib.sha256(content).hexdigest()[:_IN_NAME] == file.stem.rpartition(".")[2]
 
 
 def _content(file: Path) -> bytes | None:

@@ -156,18 +156,20 @@ def the_file(cache: Path, kind: str) -> Path:
 
 
 def test_a_damaged_cache_is_compiled_anew_and_said_once(tmp_path: Path, compiled: tuple[Path, Path]) -> None:
-    """All of the folder goes, since nobody knows what else is damaged; the start after that finds a whole one."""
+    """All files that are damaged go, also those that this start does not load; the next start finds a whole folder."""
     package, cache = compiled[0], Path(shutil.copytree(compiled[1], tmp_path / "cache"))
-    the_file(cache, "nbi").write_bytes(b"")
+    for file in (the_file(cache, "nbi"), *cache.glob("finger_sim/*/*.twice-*.nbc")):
+        file.write_bytes(b"")
     first, damage, anew, value, last = finish(start(package, cache))
     assert first == "loading compiled kernels"
-    assert damage.startswith("compiled kernels in ")
+    assert damage.startswith("damaged kernels in ")
     assert "step.step-" in damage
     assert anew.startswith("compiling kernels: once")
     folder = Path(last.split()[2])
     assert (value, last) == ("12.0", f"0 True {folder}")
     made = files(folder)
     assert len(made) == 4
+    assert all(path.stat().st_size for path in folder.glob("*.nb*"))
     assert finish(start(package, cache)) == ["loading compiled kernels", "12.0", f"1 True {folder}"]
     assert files(folder) == made
 
@@ -194,7 +196,7 @@ for kind in "nbi", "nbc":
 def test_no_damage_is_loaded_wherever_it_is(tmp_path: Path, compiled: tuple[Path, Path]) -> None:
     """Bits of the index, of the data around the machine code and of that itself; files cut anywhere."""
     damage, *values = finish(start(compiled[0], tmp_path / "cache", DAMAGE))
-    assert damage.startswith("compiled kernels in ")
+    assert damage.startswith("damaged kernels in ")
     assert values == ["12.0"] * 32
 
 
