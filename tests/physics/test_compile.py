@@ -345,6 +345,7 @@ def test_without_any_folder_kernels_are_compiled_and_not_kept(
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(compiling, "use", refuse)
+    monkeypatch.setattr(compiling, "read_only", refuse)
     monkeypatch.setattr(compiling.tempfile, "mkdtemp", refuse)
     with caplog.at_level(logging.WARNING):
         assert compiling.cache_folder.__wrapped__() is None
