@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import dis
 import hashlib
 import importlib.machinery
 import logging
@@ -27,10 +26,11 @@ import llvmlite.binding
 import numba
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
-from numba.core.dispatcher import Dispatcher
 
 from . import lowering  # noqa: F401  (lanes mean nothing to the compiler without it)
-from .folders import UnsafeError, alone, use
+from .folders import UnsafeError, alone, private, read_only, use
+from .kept import DamagedError, Kept, remove_damaged
+from .progress import counted, is_there
 from .sources import digest, imported
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -48,13 +48,15 @@ OPTIONS = (
 DONE = "compiled"
 """Stands in a folder whose kernels a simulator once had all."""
 LOCK = "compiling"
-STEP = 5
-"""Per cent of the kernels after which it is told anew how many are compiled."""
 
 _PACKAGE = Path(__file__).parents[1]
 _log = logging.getLogger(__name__)
-_watchers: list[Callable[[Any], None]] = []
-"""Are told each Python function that was compiled or loaded."""
+_turns: list[_Turn] = []
+"""Of the blocks of `compiling` that this process is in."""
+_damaged: list[str] = []
+"""What was damaged of compiled kernels that this process found."""
+_lost: list[str] = []
+"""Why compiled kernels of this process could not be kept."""
 
 
 @cache
@@ -84,8 +86,11 @@ def cache_folder() -> Path | None:
             return use(home(), name)
         except UnsafeError as error:
             unsafe.append(str(error))
-        except (OSError, RuntimeError):
-            pass  # cannot be written, or there is no such directory
+        except (OSError, RuntimeError):  # cannot be written, or there is no such directory
+            with contextlib.suppress(OSError, RuntimeError):
+                folder = read_only(home(), name)
+                if (folder / DONE).exists():
+                    return folder
     why = "; ".join(unsafe) or "neither the cache's nor the temporary directory can be used"
     try:
         folder = Path(tempfile.mkdtemp(prefix="finger_sim-"))
@@ -116,7 +121,7 @@ def _remove_own(folder: Path, process: int) -> None:
 def compiled_before() -> bool:
     """Whether kernels of exactly these sources are in the cache: a start will take seconds, not a minute."""
     folder = None if numba.config.DISABLE_JIT else cache_folder()
-    return folder is not None and (folder / DONE).exists()
+    return folder is not None and os.path.exists(folder / DONE)  # False also for a folder that is closed to us
 
 
 @contextlib.contextmanager
@@ -130,60 +135,46 @@ def compiling(tell: Callable[[str], None], kernels: Iterable[Any] = ()) -> Itera
     folder = None if numba.config.DISABLE_JIT else cache_folder()
     if folder is None:
         tell("kernels run uncompiled" if numba.config.DISABLE_JIT else "compiling kernels: a minute or two, not kept")
-        with _counted(tell, kernels):
+        with counted(tell, kernels):
             yield
-    elif compiled_before():
-        tell("loading compiled kernels")
+        return
+    with contextlib.ExitStack() as end:
+        turn = _Turn(tell, kernels, folder / LOCK, end)
+        if not compiled_before():
+            turn.wait()
+        if compiled_before():
+            tell("loading compiled kernels")
+        else:
+            turn.begin()
+        _turns.append(turn)
+        end.callback(_turns.remove, turn)
         yield
-    else:
-        with alone(folder / LOCK, lambda: tell("compiling kernels: another process is at it, waiting for its end")):
-            before = compiled_before()
-            tell("loading compiled kernels" if before else "compiling kernels: once on this machine for these sources, "
-                 "a minute or two")  # fmt: skip
-            with _counted(tell, () if before else kernels):
-                yield
+        if not _lost:
             with contextlib.suppress(OSError):
                 (folder / DONE).touch()
 
 
-def called(functions: Iterable[Any]) -> set[Any]:
-    """Python functions of kernels, and of all kernels that these call by a name of their module."""
-    found, waiting = set[Any](), [*functions]
-    while waiting:
-        function = waiting.pop()
-        if function not in found:
-            found.add(function)
-            waiting += _called_by(function)
-    return found
+class _Turn:
+    """When this process compiles: once no other one does. It says so, however late it finds that it must."""
 
+    def __init__(
+        self, tell: Callable[[str], None], kernels: Iterable[Any], lock: Path, end: contextlib.ExitStack
+    ) -> None:
+        self._tell, self._kernels, self._lock, self._end = tell, kernels, lock, end
+        self._waited = self._begun = False
 
-@cache
-def _called_by(function: Any) -> list[Any]:
-    """Those that it calls itself."""
-    names = {instruction.argval for instruction in dis.get_instructions(function) if "GLOBAL" in instruction.opname}
-    named = (function.__globals__.get(name) for name in names)
-    return [kernel.py_func for kernel in named if isinstance(kernel, Dispatcher)]
+    def wait(self) -> None:
+        """For the end of another process that compiles the same."""
+        if not self._waited:
+            self._waited = True
+            told = "compiling kernels: another process is at it, waiting for its end"
+            self._end.enter_context(alone(self._lock, lambda: self._tell(told)))
 
-
-@contextlib.contextmanager
-def _counted(tell: Callable[[str], None], kernels: Iterable[Any]) -> Iterator[None]:
-    """Tells how many of the kernels and of those that they call are compiled, in per cent."""
-    missing = called(kernel.py_func for kernel in kernels if isinstance(kernel, Dispatcher))
-    total, due = len(missing), STEP
-
-    def watch(function: Any) -> None:
-        nonlocal due
-        missing.difference_update(called([function]))
-        percent = 100 * (total - len(missing)) // max(total, 1)
-        if total and percent >= due:
-            due = percent - percent % STEP + STEP
-            tell(f"compiling kernels: {percent} % of {total}")
-
-    _watchers.append(watch)
-    try:
-        yield
-    finally:
-        _watchers.remove(watch)
+    def begin(self) -> None:
+        if not self._begun:
+            self._begun = True
+            self._tell("compiling kernels: once on this machine for these sources, a minute or two")
+            self._end.enter_context(counted(self._tell, self._kernels))
 
 
 def kernel(function: Function) -> Function:
@@ -228,7 +219,8 @@ class _Locator(_CacheLocator):  # type: ignore[misc]
         self._outside = not Path(self._py_file).is_relative_to(_PACKAGE)
 
     def ensure_cache_path(self) -> None:
-        os.makedirs(self.get_cache_path(), 0o700, exist_ok=True)
+        """Raises OSError."""
+        private(Path(self.get_cache_path()))
 
     def get_cache_path(self) -> str:
         return str(cache_folder())
@@ -252,25 +244,42 @@ class _Implementation(CompileResultCacheImpl):  # type: ignore[misc]
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
-    """numba's cache of a function; a folder that cannot be read or written any more costs time, and no more."""
+    """numba's cache of a function; files that cannot be read or written any more cost time, and no more."""
 
     _impl_class = _Implementation
 
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        self._cache_file = Kept(
+            Path(self._impl.locator.get_cache_path()), self._impl.filename_base, self._impl.locator.get_source_stamp()
+        )
+
     def load_overload(self, signature: Any, target_context: Any) -> Any:
-        try:
-            loaded = super().load_overload(signature, target_context)
-        except OSError:
-            return None
+        loaded, damage = self._load(signature, target_context)
+        if loaded is None and _turns:
+            _turns[-1].wait()  # for another process that may be making it
+            loaded, damage = self._load(signature, target_context)
+        if damage:
+            _mend(damage)
         if loaded is not None:
-            _is_there(self._py_func)
+            is_there(self._py_func)
+        elif _turns:
+            _turns[-1].begin()
         return loaded
+
+    def _load(self, signature: Any, target_context: Any) -> tuple[Any, str]:
+        """What is in the cache and whole, else what is damaged."""
+        try:
+            return super().load_overload(signature, target_context), ""
+        except DamagedError as error:
+            return None, str(error)
 
     def save_overload(self, signature: Any, result: Any) -> None:
         try:
             super().save_overload(signature, result)
         except OSError as error:
-            _cannot_keep(str(error))
-        _is_there(self._py_func)
+            _cannot_keep(error)
+        is_there(self._py_func)
 
 
 class _NoCache(NullCache):  # type: ignore[misc]
@@ -280,16 +289,22 @@ class _NoCache(NullCache):  # type: ignore[misc]
         self._function = function
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        _is_there(self._function)
+        is_there(self._function)
 
 
-def _is_there(function: Any) -> None:
-    """The machine code of a Python function is in this process."""
-    for watcher in _watchers:
-        watcher(function)
+def _mend(damage: str) -> None:
+    """Where a part of the folder is damaged, others may be: all that is goes, to be compiled anew. Says so once."""
+    folder = cache_folder()
+    if folder is not None:
+        if not _damaged:
+            _log.warning("damaged kernels in %s are removed and compiled anew: %s", folder, damage)
+        _damaged.append(damage)
+        remove_damaged(folder)
 
 
-@cache
-def _cannot_keep(why: str) -> None:
+def _cannot_keep(error: OSError) -> None:
     """Says so once."""
-    _log.warning("compiled kernels cannot be kept: %s", why)
+    why = error.strerror or str(error)
+    if not _lost:
+        _log.warning("compiled kernels cannot be kept in %s, later starts compile them anew: %s", cache_folder(), why)
+    _lost.append(why)

@@ -44,6 +44,12 @@ def private(folder: Path, close: bool = False) -> None:
         with contextlib.suppress(FileExistsError):
             if not os.path.lexists(place):
                 place.mkdir(0o700)
+    if _checked(folder, close) & 0o077:
+        folder.chmod(0o700)
+
+
+def _checked(folder: Path, close: bool = False) -> int:
+    """The mode of a folder that nobody else can change. Raises UnsafeError, OSError when it is not there."""
     for seen in (os.lstat(folder), os.stat(folder)):  # a link to it is to be ours too
         if seen.st_uid != os.geteuid():
             raise UnsafeError(f"{folder} belongs to user {seen.st_uid}")
@@ -52,8 +58,7 @@ def private(folder: Path, close: bool = False) -> None:
         raise UnsafeError(f"anyone can replace {folder}")
     if seen.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not close:
         raise UnsafeError(f"others can write to {folder}")
-    if seen.st_mode & 0o077:
-        folder.chmod(0o700)
+    return seen.st_mode
 
 
 def use(home: Path, name: str) -> Path:
@@ -79,6 +84,20 @@ def use(home: Path, name: str) -> Path:
     raise FileNotFoundError(f"{folder} is removed as often as it is made")
 
 
+def read_only(home: Path, name: str) -> Path:
+    """The folder `name` in `home` as it is, for where nothing can be written; in use until this process ends.
+
+    Raises UnsafeError, OSError when it is not there.
+    """
+    folder = home / name
+    _checked(home)
+    _checked(folder)
+    with contextlib.suppress(OSError):
+        _held.append(os.open(folder / IN_USE, os.O_RDONLY | os.O_NOFOLLOW))
+        _lock(_held[-1], fcntl.LOCK_SH)
+    return folder
+
+
 def prune(home: Path, mine: Path) -> None:
     """Remove folders of kernels that are long unused, or more than KEPT; never one that a process uses."""
     used: list[tuple[float, Path]] = []
@@ -93,7 +112,7 @@ def prune(home: Path, mine: Path) -> None:
                     elif _NAME.fullmatch(folder.name):
                         used.append((seen.st_mtime, folder))
     for place, (last, folder) in enumerate(sorted(used, reverse=True), start=1):
-        many = place >= KEPT and (folder / IN_USE).exists()  # without it, nobody knows whether the folder is in use
+        many = place >= KEPT and os.path.exists(folder / IN_USE)  # else nobody knows whether the folder is in use
         if many or time.time() - last > UNUSED:
             doomed.append(folder)
     for folder in doomed:
@@ -117,14 +136,17 @@ def _remove(folder: Path) -> None:
 def alone(file: Path, waiting: Callable[[], None]) -> Iterator[None]:
     """A block that one process at a time goes through; `waiting` is called when another is in it.
 
-    The lock goes with the process that holds it, however that ends. After PATIENCE the block is entered all the same.
+    The lock goes with the process that holds it, however that ends. After PATIENCE the block is entered all the same,
+    and at once where no lock can be made.
     """
-    descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
-    try:
-        _lock(descriptor, fcntl.LOCK_EX, waiting)
+    descriptor = None
+    with contextlib.ExitStack() as end:
+        with contextlib.suppress(OSError):
+            descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+            end.callback(os.close, descriptor)
+        if descriptor is not None:
+            _lock(descriptor, fcntl.LOCK_EX, waiting)
         yield
-    finally:
-        os.close(descriptor)
 
 
 def _lock(descriptor: int, kind: int, waiting: Callable[[], None] = lambda: None) -> None:

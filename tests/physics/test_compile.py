@@ -15,7 +15,7 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from finger_sim.physics import compile as compiling
-from finger_sim.physics import folders, sources
+from finger_sim.physics import folders, progress, sources
 from finger_sim.physics.ready import KERNELS
 
 PACKAGE = Path(compiling.__file__).parents[1]
@@ -26,7 +26,7 @@ def tiny(root: Path) -> Path:
     """A package of that name with a kernel, its callee in another file and a constant outside physics/."""
     physics = root / "finger_sim" / "physics"
     physics.mkdir(parents=True)
-    for name in ("compile", "folders", "lanes", "lowering", "sources"):
+    for name in ("compile", "folders", "kept", "lanes", "lowering", "progress", "sources"):
         shutil.copy(PACKAGE / "physics" / f"{name}.py", physics)
     shutil.copy(PACKAGE / "arrays.py", physics.parent)
     for file in (physics / "__init__.py", physics.parent / "__init__.py", physics.parent / "apart.py"):
@@ -62,13 +62,14 @@ print(sum(step.stats.cache_hits.values()), compiled_before(), cache_folder())
 """
 
 
-def start(package: Path, cache: Path) -> subprocess.Popen[str]:
-    """A process that says what it does, and waits for a line before it calls the kernel."""
+def start(package: Path, cache: Path, code: str = START) -> subprocess.Popen[str]:
+    """A process that says what it does, warnings among it, and waits for a line before it calls the kernel."""
     return subprocess.Popen(
-        [sys.executable, "-c", START],
+        [sys.executable, "-c", code],
         env=os.environ | {"PYTHONPATH": str(package.parent), "NUMBA_CACHE_DIR": str(cache), "NUMBA_DISABLE_JIT": "0"},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
         text=True,
         cwd=package.parent,
     )
@@ -81,7 +82,7 @@ def said(process: subprocess.Popen[str]) -> str:
 
 def finish(process: subprocess.Popen[str]) -> list[str]:
     out, _ = process.communicate("\n", timeout=100)
-    assert process.returncode == 0
+    assert process.returncode == 0, out
     return out.splitlines()
 
 
@@ -138,6 +139,152 @@ def test_two_first_starts_compile_once(tmp_path: Path, killed: bool) -> None:
     told, value, last = finish(second)
     assert told.startswith("compiling kernels: once" if killed else "loading compiled kernels")
     assert (value, last.split()[0]) == ("12.0", "0" if killed else "1")
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The package and a cache that it filled: for tests that change the cache, to copy."""
+    root = tmp_path_factory.mktemp("compiled")
+    finish(start(tiny(root / "package"), root / "cache"))
+    return root / "package" / "finger_sim", root / "cache"
+
+
+def the_file(cache: Path, kind: str) -> Path:
+    """Of the compiled kernel `step`."""
+    (file,) = cache.glob(f"finger_sim/*/*step.step-*.{kind}")
+    return file
+
+
+def test_a_damaged_cache_is_compiled_anew_and_said_once(tmp_path: Path, compiled: tuple[Path, Path]) -> None:
+    """All files that are damaged go, also those that this start does not load; the next start finds a whole folder."""
+    package, cache = compiled[0], Path(shutil.copytree(compiled[1], tmp_path / "cache"))
+    for file in (the_file(cache, "nbi"), *cache.glob("finger_sim/*/*.twice-*.nbc")):
+        file.write_bytes(b"")
+    first, damage, anew, value, last = finish(start(package, cache))
+    assert first == "loading compiled kernels"
+    assert damage.startswith("damaged kernels in ")
+    assert "step.step-" in damage
+    assert anew.startswith("compiling kernels: once")
+    folder = Path(last.split()[2])
+    assert (value, last) == ("12.0", f"0 True {folder}")
+    made = files(folder)
+    assert len(made) == 4
+    assert all(path.stat().st_size for path in folder.glob("*.nb*"))
+    assert finish(start(package, cache)) == ["loading compiled kernels", "12.0", f"1 True {folder}"]
+    assert files(folder) == made
+
+
+DAMAGE = """
+from finger_sim.physics.compile import cache_folder, kernel
+from finger_sim.physics.step import step
+step(1.0)
+def flipped(content, place):
+    return content[:place] + bytes([content[place] ^ 4]) + content[place + 1:]
+def cut(content, place):
+    return content[:place]
+for kind in "nbi", "nbc":
+    for damaged in flipped, cut:
+        for part in range(8):
+            (file,) = cache_folder().glob(f"*step.step-*.{kind}")
+            content = file.read_bytes()
+            file.write_bytes(damaged(content, len(content) * part // 8))
+            again = kernel(step.py_func)
+            print(again(1.0), *again.stats.cache_hits.values())
+"""
+
+
+def test_no_damage_is_loaded_wherever_it_is(tmp_path: Path, compiled: tuple[Path, Path]) -> None:
+    """Bits of the index, of the data around the machine code and of that itself; files cut anywhere."""
+    damage, *values = finish(start(compiled[0], tmp_path / "cache", DAMAGE))
+    assert damage.startswith("damaged kernels in ")
+    assert values == ["12.0"] * 32
+
+
+def test_two_starts_on_a_damaged_cache_compile_once(tmp_path: Path, compiled: tuple[Path, Path]) -> None:
+    """One that finds damage while another process compiles waits for it, and loads what that one made."""
+    package, cache = compiled[0], Path(shutil.copytree(compiled[1], tmp_path / "cache"))
+    file = the_file(cache, "nbc")
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    with folders.alone(file.parent / compiling.LOCK, lambda: None):
+        second = start(package, cache)
+        assert said(second) == "loading compiled kernels\n"
+        assert second.stdin is not None
+        second.stdin.write("\n")
+        second.stdin.flush()
+        assert said(second).startswith("compiling kernels: another process")
+        file.write_bytes(whole)
+    value, last = finish(second)
+    assert (value, last.split()[0]) == ("12.0", "1")
+
+
+FULL = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (4096, resource.RLIM_INFINITY))\n" + START
+REMOVED = "import shutil\nfrom finger_sim.physics import step, compile\nshutil.rmtree(compile.cache_folder())" + START
+
+
+def test_a_full_disk_costs_time_and_no_more(tmp_path: Path, compiled: tuple[Path, Path]) -> None:
+    """It is said once that nothing is kept; a later start does not take for compiled what could not be kept."""
+    for code in (FULL, START):
+        told, *full, value, last = finish(start(compiled[0], tmp_path, code))
+        assert told.startswith("compiling kernels: once")
+        assert len(full) == (code == FULL)
+        assert all(line.startswith("compiled kernels cannot be kept in ") for line in full)
+        assert (value, last.split()[:2]) == ("12.0", ["0", str(code != FULL)])
+
+
+def test_a_folder_that_is_removed_meanwhile_is_made_again(tmp_path: Path, compiled: tuple[Path, Path]) -> None:
+    """Closed to others, as it was."""
+    told, value, last = finish(start(compiled[0], tmp_path, REMOVED))
+    assert (told.split(":")[0], value, last.split()[:2]) == ("compiling kernels", "12.0", ["0", "True"])
+    assert the_file(tmp_path, "nbc").parent.stat().st_mode & 0o777 == 0o700
+
+
+def test_a_filled_folder_is_read_where_nothing_can_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that is not filled, or that others can change, is of no use there."""
+    monkeypatch.setattr(compiling.numba.config, "DISABLE_JIT", 0)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiling.tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    choose = compiling.cache_folder.__wrapped__
+    folder = choose()
+    assert folder.parent == tmp_path / "finger_sim"
+    real = folders.tempfile.TemporaryFile
+
+    def full(dir: Path) -> Any:
+        if dir == folder:
+            raise OSError(30, "Read-only file system")
+        return real(dir=dir)
+
+    monkeypatch.setattr(folders.tempfile, "TemporaryFile", full)
+    assert choose().is_relative_to(tmp_path / "temporary")
+    (folder / compiling.DONE).touch()
+    assert choose() == folder
+    folder.chmod(0o777)
+    assert choose().is_relative_to(tmp_path / "temporary")
+
+
+@pytest.mark.slow
+def test_run_goes_on_with_a_damaged_cache(tmp_path: Path) -> None:
+    """The whole package: bits flipped in the machine code of a step."""
+    own = compiling.cache_folder()
+    assert own is not None
+    copy = tmp_path / "finger_sim" / own.name
+    shutil.copytree(own, copy)
+    run = [sys.executable, "-m", "finger_sim", "run", "finger", "--bag", "press_flat", "--duration", "0.01", "-o"]
+    for number, told in enumerate(("", "loading compiled kernels", "damaged")):
+        if told == "damaged":
+            file = the_file(tmp_path, "nbc")
+            content = bytearray(file.read_bytes())
+            content[len(content) // 4 :: 1001] = b"?" * len(content[len(content) // 4 :: 1001])
+            file.write_bytes(content)
+        done = subprocess.run(
+            [*run, str(tmp_path / f"out{number}")],
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(PACKAGE.parent)},
+            capture_output=True, text=True, timeout=230, cwd=PACKAGE.parent,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert told in done.stderr
+        assert done.stderr.count("damaged") == (told == "damaged")
 
 
 def test_a_folder_is_ours_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -198,6 +345,7 @@ def test_without_any_folder_kernels_are_compiled_and_not_kept(
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(compiling, "use", refuse)
+    monkeypatch.setattr(compiling, "read_only", refuse)
     monkeypatch.setattr(compiling.tempfile, "mkdtemp", refuse)
     with caplog.at_level(logging.WARNING):
         assert compiling.cache_folder.__wrapped__() is None
@@ -217,7 +365,7 @@ def test_without_any_folder_kernels_are_compiled_and_not_kept(
 
 def test_what_is_told_to_compile_is_all_that_a_start_compiles() -> None:
     """Every kernel of physics/ is counted, but for two: one is done by then, one is for users to call."""
-    counted = compiling.called(kernel.py_func for kernel in KERNELS)
+    counted = progress.called(kernel.py_func for kernel in KERNELS)
     known = {
         value.py_func
         for name, module in list(sys.modules.items())
