@@ -1,47 +1,44 @@
-"""MCAP files, whole or cut off: their messages in the order of time, and an end for those that have none."""
+"""MCAP files, whole, cut off or damaged: their messages in the order of time, and what is missing."""
 
 from __future__ import annotations
 
 import heapq
-import os
 import struct
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from io import BytesIO
-from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
-from mcap.data_stream import ReadDataStream, RecordBuilder
-from mcap.exceptions import McapError
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
+from mcap.records import Channel, Metadata, Schema
 
 from ..errors import BagError
-from .message import Message, Topic
+from .mcap_records import (
+    BROKEN,
+    MESSAGE,
+    RECORD,
+    Damaged,
+    NoHeaderError,
+    Summary,
+    chunk_records,
+    chunk_times,
+    data_is_whole,
+    read_head,
+    read_header,
+    read_summary,
+)
+from .message import Message, Numbers, Source, plain_message, topics_of
 from .metadata import ORIGIN
+from .packing import MCAP_MAGIC, PackingError, Scratch, Stored
 
-MAGIC = b"\x89MCAP0\r\n"
 LONGEST_RUN = 1 << 20
 """Size from which on a run of messages outside of chunks takes no more of them [byte]."""
-ROOM_FOR_END = 1 << 16
-"""What finish_cut_off frees on a full disk [byte]: an end of the file and a metadata.yaml are a third of that."""
-
-_RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-
-
-_BROKEN = (McapError, struct.error, UnicodeDecodeError, OverflowError, MemoryError, RuntimeError)
-"""What the mcap library raises on bytes that are not what they claim to be."""
-
-
-class _NoHeaderError(BagError):
-    """A file that was cut off before anything was in it: of several files, the others can be read."""
-
-
-class _Damaged(Exception):
-    """Bytes that are not whole MCAP records."""
+NAMED_GAPS = 3
+"""Damaged places that a warning names; more are counted."""
+_INDEX_HEAD, _INDEX_ENTRY = 6, 16
+"""Sizes in a record that lists the messages of a chunk [byte]."""
 
 
 @dataclass
@@ -57,101 +54,201 @@ class _Segment:
 
 
 @dataclass
-class _File:
-    """What the records of one MCAP file announce."""
+class _Gap:
+    """A damaged place that reading goes on after."""
 
-    path: Path
+    offset: int
+    end: int
+    reason: str
+    times: tuple[int, int] | None = None
+    """Log times [ns] of the messages that are missing, where they are known."""
+    count: int = 0
+    """Messages that are missing; 0 where it is not known."""
+    empty: bool = False
+    """Whether it is known that no message is missing."""
+
+    def words(self, zero: int) -> str:
+        """The place, and what is missing from there; `zero` is the log time from which seconds count."""
+        if self.empty:
+            return f"{self.reason} at bytes {self.offset} to {self.end}: no message is missing"
+        what = f"{self.count} messages" if self.count else "messages"
+        when = " of unknown times"
+        if self.times is not None:
+            when = " from {:.3f} s to {:.3f} s".format(*(1e-9 * (time - zero) for time in self.times))
+        return f"{self.reason} at bytes {self.offset} to {self.end}: {what}{when} are missing"
+
+
+@dataclass
+class _File:
+    """What the records of one MCAP file announce, and what is wrong with it."""
+
+    stored: Stored
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
+    gaps: list[_Gap] = field(default_factory=list)
+    unpackable: list[str] = field(default_factory=list)
+    """Why messages could not be unpacked."""
+    damage: str = ""
+    """What is wrong with its end."""
+
+    @cached_property
+    def summary(self) -> Summary:
+        """What stands at its end."""
+        with self.stored.path.open("rb") as stream:
+            return read_summary(stream)
 
     def type_of(self, channel: Channel) -> str:
         schema = self.schemas.get(channel.schema_id)
         return schema.name if schema is not None else ""
 
+    def channel(self, number: int) -> Channel:
+        """The channel of that number. Where its record was lost with a chunk, the end of the file tells it too."""
+        if number not in self.channels:
+            self.channels = self.summary.channels | self.channels
+            self.schemas = self.summary.schemas | self.schemas
+        if number not in self.channels:
+            raise Damaged("a message of an unknown channel")
+        return self.channels[number]
 
-class McapSource:
-    """MCAP files read front to back: works the same with and without an index at their end."""
+    def skip(self, offset: int, reason: str, size: int) -> int | None:
+        """Notes a damaged place; where the next chunk that the index names begins, None where there is none."""
+        chunks = [chunk for chunk in self.summary.chunks if chunk.offset >= offset]
+        later = next((chunk.offset for chunk in chunks if chunk.offset > offset), None)
+        lost = [chunk for chunk in chunks if later is None or chunk.offset < later]
+        times = (min(chunk.start for chunk in lost), max(chunk.end for chunk in lost)) if lost else None
+        self.gaps.append(_Gap(offset, later or size, reason, times, empty=not lost))
+        return later
 
-    def __init__(self, paths: Iterable[Path], cut: str | None = None, origin: Mapping[str, str] | None = None) -> None:
-        self.cut = cut
-        self.origin = dict(origin or {})
-        self.files = [_File(path) for path in paths]
+    def warnings(self, zero: int) -> Iterator[str]:
+        """What is wrong with it; seconds count from the log time `zero` [ns]."""
+        said = [self.stored.damage.partition(": ")[2]] if self.stored.damage else []
+        said += [gap.words(zero) for gap in self.gaps[:NAMED_GAPS]]
+        if more := self.gaps[NAMED_GAPS:]:
+            said.append(f"{len(more)} more damaged places")
+        if self.unpackable:
+            said.append(f"{len(self.unpackable)} messages cannot be unpacked, the first for {self.unpackable[0]}")
+        if self.damage:
+            said.append(self.damage)
+        return (f"{self.stored.name}: {text}" for text in said)
+
+
+class McapSource(Source):
+    """MCAP files read front to back: works the same with and without an index at their end.
+
+    Raises BagError where nothing of ROS 2 can be read.
+    """
+
+    def __init__(self, files: Sequence[Stored], scratch: Scratch | None = None) -> None:
+        super().__init__()
+        self._scratch = scratch
+        self.files = [_File(stored) for stored in files]
         self.segments: list[_Segment] = []
-        self.start: int | None = None
-        self.end: int | None = None
-        warnings: list[str] = []
-        counts: Counter[tuple[str, str]] = Counter()
-        lost: Counter[tuple[str, str]] = Counter()
-        names: dict[tuple[str, str], None] = {}
-        last: dict[str, int] = {}
+        numbers: dict[tuple[str, str, int], Numbers] = {}
+        unreadable = []
         for index, file in enumerate(self.files):
             try:
-                damage, numbers = self._scan(index, last)
-            except _NoHeaderError as error:
+                self._scan(index, numbers)
+            except NoHeaderError as error:
                 if len(self.files) == 1:
                     raise
-                damage, numbers = str(error), {}
-            if damage:
-                warnings.append(damage)
-            used = [channel for channel in file.channels.values() if channel.message_encoding == "cdr"]
-            if file.channels and not used:
-                found = sorted({channel.message_encoding for channel in file.channels.values()})
-                raise BagError(f"{file.path}: holds no ROS 2 messages (cdr), but {', '.join(found)}")
-            for channel in used:
-                key = (channel.topic, file.type_of(channel))
-                names[key] = None
-                count, missing = numbers.get(channel.id, (0, 0))
-                counts[key] += count
-                lost[key] += missing
-        self.topics = tuple(Topic(name, type, counts[name, type], lost[name, type]) for name, type in names)
-        self.warning = "; ".join(warnings) or None
+                unreadable.append(str(error))
+                continue
+            encodings = {channel.message_encoding for channel in file.channels.values()}
+            if encodings and "cdr" not in encodings:
+                raise BagError(f"{file.stored.name}: holds no ROS 2 messages (cdr), but {', '.join(sorted(encodings))}")
+            for channel in file.channels.values():
+                if channel.message_encoding == "cdr":
+                    numbers.setdefault((channel.topic, file.type_of(channel), channel.id), Numbers())
+                else:
+                    self.foreign = True
+        self.topics = topics_of(numbers)
+        zero = self.start or 0
+        self.warnings = [*(text for file in self.files for text in file.warnings(zero)), *unreadable]
         self.segments.sort(key=lambda segment: segment.start)
 
-    def _scan(self, index: int, last: dict[str, int]) -> tuple[str | None, dict[int, tuple[int, int]]]:
-        """Finds the segments of a file; returns what is wrong with its end, and per channel (count, lost).
-
-        last : number of the last message of each topic, over all files
-        """
+    def _scan(self, index: int, numbers: dict[tuple[str, str, int], Numbers]) -> None:
+        """Finds the segments of a file, and what is wrong with it; counts its messages by topic, type and channel."""
         file = self.files[index]
-        size = file.path.stat().st_size
+        size = file.stored.path.stat().st_size
         if size == 0:
-            raise _NoHeaderError(f"{file.path}: is empty")
-        numbers: dict[int, tuple[int, int]] = {}
-        with file.path.open("rb") as stream:
-            offset = _read_header(stream, file.path)
+            raise NoHeaderError(f"{file.stored.name}: is empty")
+        with file.stored.path.open("rb") as stream:
+            offset = read_header(stream, file.stored.name)
             while True:
                 try:
-                    opcode, length = _read_record_head(stream, size - offset)
+                    opcode, length = read_head(stream, size - offset)
+                    after = offset + RECORD.size + length
                     if opcode == Opcode.DATA_END:
                         break
-                    if opcode == Opcode.CHUNK:
-                        segment = _Segment(index, offset, 9 + length, chunked=True)
-                    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-                        segment = _Segment(index, offset, 9 + length, chunked=False)
-                    else:
-                        if opcode == Opcode.METADATA:
-                            self._learn_origin(index, stream, length)
-                        offset = stream.seek(offset + 9 + length)
-                        continue
-                    for channel, sequence, log_time, _, _ in self._read(stream, segment):
-                        count, missing = numbers.get(channel, (0, 0))
-                        topic = file.channels[channel].topic
-                        gap = sequence - last.get(topic, sequence - 1) - 1
-                        numbers[channel] = (count + 1, missing + max(gap, 0))
-                        last[topic] = sequence
-                        segment.start = min(segment.start, log_time)
-                        segment.end = max(segment.end, log_time)
-                except _Damaged as damage:
-                    return f"{file.path}: cut off at byte {offset} of {size} ({damage})", numbers
-                if segment.start <= segment.end:
-                    self._add(segment)
-                    self.start = segment.start if self.start is None else min(self.start, segment.start)
-                    self.end = segment.end if self.end is None else max(self.end, segment.end)
-                offset = stream.seek(offset + segment.size)
-            stream.seek(size - len(MAGIC))
-            if stream.read() != MAGIC:
-                return f"{file.path}: cut off in its index; all messages are there", numbers
-        return None, numbers
+                    self._take(index, stream, opcode, _Segment(index, offset, after - offset, False), numbers)
+                except Damaged as damage:
+                    if not file.summary.chunks:
+                        file.damage = f"cut off at byte {offset} of {size} ({damage})"
+                        return
+                    later = file.skip(offset, str(damage), size)
+                    if later is None:
+                        return
+                    after = later
+                offset = stream.seek(after)
+            checksum = int.from_bytes(stream.read(min(length, 4)), "little")
+            stream.seek(size - len(MCAP_MAGIC))
+            if stream.read() != MCAP_MAGIC:
+                file.damage = "cut off in its index; all messages are there"
+            elif not file.gaps and not data_is_whole(stream, offset, checksum):
+                file.damage = "the checksum of its data is wrong: some bytes of what was read are not what was written"
+
+    def _take(
+        self,
+        index: int,
+        stream: BinaryIO,
+        opcode: int,
+        place: _Segment,
+        numbers: dict[tuple[str, str, int], Numbers],
+    ) -> None:
+        """What one record says, at the place of the stream. Raises Damaged where reading cannot go on behind it."""
+        file = self.files[index]
+        length = place.size - RECORD.size
+        if opcode == Opcode.METADATA:
+            self._learn_origin(index, stream, length)
+        elif opcode == Opcode.MESSAGE_INDEX and file.gaps:
+            self._count_missing(file.gaps[-1], stream, place)
+        elif opcode == Opcode.MESSAGE and file.gaps:
+            raise Damaged("a message outside of the chunks")  # behind a damaged chunk that is rather a piece of it
+        elif opcode in (Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+            place.chunked = opcode == Opcode.CHUNK
+            try:
+                messages = self._read(stream, place)
+                keys = [(file.channel(number), sequence) for number, sequence, *_ in messages]
+            except Damaged as damage:
+                if not place.chunked:
+                    raise
+                stream.seek(place.offset + RECORD.size)
+                times = chunk_times(stream.read(min(length, 16)))
+                file.gaps.append(_Gap(place.offset, place.offset + place.size, str(damage), times))
+                return
+            for (channel, sequence), (_, _, log_time, _, data) in zip(keys, messages, strict=True):
+                if channel.message_encoding != "cdr":
+                    continue
+                try:
+                    plain_message(data)
+                except PackingError as error:
+                    file.unpackable.append(f"{error} on topic {channel.topic}")
+                    continue
+                key = (channel.topic, file.type_of(channel), channel.id)
+                numbers.setdefault(key, Numbers()).take(sequence)
+                place.start, place.end = min(place.start, log_time), max(place.end, log_time)
+            if place.start <= place.end:
+                self._add(place)
+                self.spans(place.start, place.end)
+
+    def _count_missing(self, gap: _Gap, stream: BinaryIO, place: _Segment) -> None:
+        """Counts what a record lists of the messages in the chunk before it, if that is the damaged one."""
+        if gap.end == place.offset:
+            head = stream.read(min(place.size - RECORD.size, _INDEX_HEAD))
+            listed = int.from_bytes(head[2:], "little")
+            if listed == place.size - RECORD.size - _INDEX_HEAD:
+                gap.count += listed // _INDEX_ENTRY
+                gap.end += place.size
 
     def _learn_origin(self, index: int, stream: BinaryIO, length: int) -> None:
         """Words on the bag's making, if the metadata record at the stream's place has some; of each the first counts.
@@ -160,8 +257,8 @@ class McapSource:
         """
         try:
             record = Metadata.read(ReadDataStream(BytesIO(stream.read(length))))
-        except _BROKEN:
-            raise _Damaged("a broken record") from None
+        except BROKEN:
+            raise Damaged("a broken record") from None
         if record.name == ORIGIN:
             part = record.metadata.pop("part", None)
             self.origin = record.metadata | self.origin
@@ -184,33 +281,32 @@ class McapSource:
         stream.seek(segment.offset)
         data = stream.read(segment.size)
         if segment.chunked:
-            data = _decompress(data[_RECORD.size :])
+            data = chunk_records(data[RECORD.size :])
         messages = []
         offset = 0
         try:
             while offset < len(data):
-                opcode, length = _RECORD.unpack_from(data, offset)
-                start, offset = offset + _RECORD.size, offset + _RECORD.size + length
+                opcode, length = RECORD.unpack_from(data, offset)
+                start, offset = offset + RECORD.size, offset + RECORD.size + length
                 if offset > len(data):
-                    raise _Damaged("a record longer than its chunk")
+                    raise Damaged("a record longer than its chunk")
                 if opcode == Opcode.MESSAGE:
-                    head = _MESSAGE.unpack_from(data, start)
-                    messages.append((*head, data[start + _MESSAGE.size : offset]))
+                    if length < MESSAGE.size:
+                        raise Damaged("a message without a head")
+                    messages.append((*MESSAGE.unpack_from(data, start), data[start + MESSAGE.size : offset]))
                 elif opcode == Opcode.SCHEMA:
                     schema = Schema.read(ReadDataStream(BytesIO(data[start:offset])))
                     file.schemas[schema.id] = schema
                 elif opcode == Opcode.CHANNEL:
                     channel = Channel.read(ReadDataStream(BytesIO(data[start:offset])))
                     file.channels[channel.id] = channel
-        except _BROKEN:
-            raise _Damaged("a broken record") from None
-        if any(message[0] not in file.channels for message in messages):
-            raise _Damaged("a message of an unknown channel")
+        except (*BROKEN, struct.error):
+            raise Damaged("a broken record") from None
         return messages
 
     def messages(self) -> Iterator[Message]:
         pending: list[tuple[int, int, int, int, Message]] = []
-        streams = [file.path.open("rb") for file in self.files]
+        streams = [file.stored.path.open("rb") for file in self.files]
         try:
             for segment in self.segments:
                 while pending and pending[0][0] < segment.start:
@@ -219,87 +315,19 @@ class McapSource:
                 for i, (number, sequence, logged, published, data) in enumerate(
                     self._read(streams[segment.file], segment)
                 ):
-                    channel = file.channels[number]
-                    if channel.message_encoding == "cdr":
-                        message = Message(channel.topic, file.type_of(channel), logged, published, data, sequence)
-                        heapq.heappush(pending, (logged, segment.file, segment.offset, i, message))
+                    channel = file.channel(number)
+                    if channel.message_encoding != "cdr":
+                        continue
+                    try:
+                        plain = plain_message(data)
+                    except PackingError:
+                        continue
+                    message = Message(channel.topic, file.type_of(channel), logged, published, plain, sequence)
+                    heapq.heappush(pending, (logged, segment.file, segment.offset, i, message))
             while pending:
                 yield heapq.heappop(pending)[-1]
-        except (OSError, _Damaged) as error:
-            raise BagError(f"{self.files[0].path.parent}: changed while it was read: {error}") from None
+        except (OSError, Damaged) as error:
+            raise BagError(f"{self.files[0].stored.name.parent}: changed while it was read: {error}") from None
         finally:
             for stream in streams:
                 stream.close()
-
-
-def _read_header(stream: BinaryIO, path: Path) -> int:
-    """Checks magic and profile of an MCAP file; returns the offset after its header."""
-    magic = stream.read(len(MAGIC))
-    if magic != MAGIC:
-        if MAGIC.startswith(magic):
-            raise _NoHeaderError(f"{path}: cut off before its header, nothing can be read")
-        raise BagError(f"{path}: not an MCAP file: starts with {magic!r}, must start with {MAGIC!r}")
-    try:
-        opcode, length = _read_record_head(stream, os.fstat(stream.fileno()).st_size - len(MAGIC))
-        if opcode != Opcode.HEADER:
-            raise BagError(f"{path}: not an MCAP file: its first record is no header")
-        header = Header.read(ReadDataStream(BytesIO(stream.read(length))))
-    except (_Damaged, *_BROKEN):
-        raise _NoHeaderError(f"{path}: cut off before its header, nothing can be read") from None
-    if header.profile not in ("ros2", ""):
-        raise BagError(f"{path}: holds messages of profile {header.profile!r}, allowed: 'ros2'")
-    return len(MAGIC) + _RECORD.size + length
-
-
-def _read_record_head(stream: BinaryIO, left: int) -> tuple[int, int]:
-    """Opcode and length of the record at the stream's place, of which `left` bytes are in the file."""
-    head = stream.read(_RECORD.size)
-    if len(head) < _RECORD.size:
-        raise _Damaged("no end of data" if not head else "a partial record")
-    opcode, length = _RECORD.unpack(head)
-    if opcode == 0:
-        raise _Damaged("zeros")
-    if length > left - _RECORD.size:
-        raise _Damaged("a partial chunk" if opcode == Opcode.CHUNK else "a partial record")
-    return opcode, length
-
-
-def _decompress(body: bytes) -> bytes:
-    """Records inside a chunk record."""
-    import zstandard
-
-    try:
-        chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-        return stream.read(length)
-    except CRCValidationError:
-        raise _Damaged("a chunk with a wrong checksum") from None
-    except (zstandard.ZstdError, *_BROKEN) as error:
-        raise _Damaged(f"a broken chunk: {error}") from None
-
-
-def finish_cut_off(path: Path) -> tuple[Counter[str], int, int]:
-    """Ends a file that was cut off: with its last whole record that leaves ROOM_FOR_END of what it takes on the disk.
-
-    The end has no index. Returns the messages that are left on each topic, and the first and last of their log times
-    [ns]. Raises OSError when the disk takes no end either, BagError when the file has no whole header.
-    """
-    size = path.stat().st_size
-    with path.open("r+b") as stream:
-        whole = _read_header(stream, path)
-        try:
-            while True:
-                opcode, length = _read_record_head(stream, size - ROOM_FOR_END - whole)
-                if opcode == Opcode.DATA_END:
-                    break
-                whole = stream.seek(whole + _RECORD.size + length)
-        except _Damaged:
-            pass
-        builder: Any = RecordBuilder()  # its methods carry no types
-        DataEnd(data_section_crc=0).write(builder)
-        Footer(summary_start=0, summary_offset_start=0, summary_crc=0).write(builder)
-        stream.truncate(whole)
-        stream.seek(whole)
-        stream.write(builder.end() + MAGIC)
-    left = McapSource([path])
-    return Counter({topic.name: topic.count for topic in left.topics}), left.start or 2**64, left.end or 0

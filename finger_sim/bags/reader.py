@@ -21,7 +21,7 @@ from . import cdr
 from .interrupts import deferred
 from .message import Message, Topic
 from .metadata import Qos
-from .sources import open_source
+from .sources import Opened
 from .writer import FLUSH_PERIOD, BagWriter, Compression, absolute, require_absent
 
 __all__ = [
@@ -79,21 +79,26 @@ def write_commands(
 
 
 class BagReader:
-    """Reads a rosbag2 folder (MCAP or sqlite3), or a bare .mcap or .db3 file.
+    """Reads a rosbag2 folder, or one of its files: MCAP or sqlite3, compressed or not, told by its content.
 
-    A bag that was cut off while it was written is read up to its last whole chunk; `truncated` and `warning`
-    then say so. Raises BagError when there is nothing, or nothing of ROS 2, to read.
+    A bag that was cut off or damaged is read as far as it can be: `truncated` and `warning` then say what is missing.
+    Raises BagError when there is nothing, or nothing of ROS 2, to read.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._source = open_source(self.path)
+        opened = Opened(self.path)
+        self._source = opened.source
         self.topics = self._source.topics
         self.start_time = self._source.start
+        """Log time of the first message that can be read [ns]; None for an empty bag."""
         self.end_time = self._source.end
-        self.warning = self._source.warning
+        self.warning = "; ".join(self._source.warnings) or None
+        """What cannot be read, and why."""
         self.truncated = self.warning is not None
-        self.cut = self._source.cut
+        self.notes = tuple(opened.notes)
+        """Where its metadata.yaml is wrong, though no message is missing."""
+        self.cut = opened.cut
         """Why its writer ended it early, where it said so; all of such a bag can be read."""
         self.origin = self._source.origin
         """Words on what made it, for `bags.origin`; empty where it says nothing."""
@@ -110,11 +115,14 @@ class BagReader:
         """Messages on all topics."""
         return sum(topic.count for topic in self.topics)
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Messages in the order of log time (equal times: as in the file), of all topics or those named."""
+    def messages(self, topics: Collection[str] | None = None, type: str | None = None) -> Iterator[Message]:
+        """Messages in the order of log time (equal times: as in the file), of all topics or those named.
+
+        type : of the messages; left out: whatever type
+        """
         wanted = None if topics is None else {absolute(topic) for topic in topics}
         for message in self._source.messages():
-            if wanted is None or absolute(message.topic) in wanted:
+            if (wanted is None or absolute(message.topic) in wanted) and type in (None, message.type):
                 yield message
 
     def __iter__(self) -> Iterator[Message]:

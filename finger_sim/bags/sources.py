@@ -1,135 +1,128 @@
-"""Where the messages of a bag come from: MCAP files, whole or cut off, and what `rosbags` reads (sqlite3)."""
+"""Where the messages of a bag come from: what lies at a path, by its content, and what its metadata.yaml says."""
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import yaml
 
 from ..errors import BagError
-from .mcap_files import McapSource
-from .message import Message, Source, Topic
+from ..scene.resources import BAGS, PACKED
+from .message import Source
 from .metadata import CUT, origin_in
+from .packing import Scratch, Stored, stored
 
-ROS1_MAGIC = b"#ROSBAG V"
-"""What bags of ROS 1 begin with."""
-
-
-def open_source(path: Path) -> Source:
-    """The reader for what lies at `path`."""
-    try:
-        if path.is_file():
-            _refuse_ros1(path)
-            return _RosbagsSource(path) if path.suffix == ".db3" else McapSource([path])
-        if not path.is_dir():
-            raise BagError(f"{path}: no such bag; give a rosbag2 folder or an .mcap file")
-        metadata = path / "metadata.yaml"
-        if metadata.is_file():
-            return _open_folder(path, _information(metadata))
-        files = sorted(path.glob("*.mcap"), key=_part_number)
-        if files:
-            return McapSource(files)
-        databases = sorted(path.glob("*.db3"))
-        if len(databases) == 1:
-            return _RosbagsSource(databases[0])
-    except OSError as error:
-        raise BagError(f"{error.filename or path}: cannot be read: {error.strerror}") from None
-    raise BagError(f"{path}: not a bag: holds neither metadata.yaml nor an .mcap file")
+_CLOSE_ENOUGH = 1_000_000
+"""Times in a metadata.yaml may be that far from those of the messages [ns]: some writers count to behind the last."""
 
 
-def _refuse_ros1(path: Path) -> None:
-    """Raises BagError for a bag of ROS 1, with what converts it."""
-    with path.open("rb") as stream:
-        if stream.read(len(ROS1_MAGIC)) == ROS1_MAGIC:
-            ours, theirs = f"finger_sim import {path} -o NAME", f"rosbags-convert --src {path} --dst FOLDER"
-            raise BagError(f"{path}: a ROS 1 bag: `{ours}` makes a bag of its poses, `{theirs}` one of all topics")
-
-
-def _open_folder(path: Path, information: dict[str, Any]) -> Source:
-    custom = information.get("custom_data")
-    origin = origin_in(custom)
-    compressed = information.get("compression_mode") not in ("", "NONE", "none", None)
-    if information.get("storage_identifier") != "mcap" or compressed:
-        return _RosbagsSource(path, origin)
-    names = information.get("relative_file_paths")
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        key = f"{path / 'metadata.yaml'}: relative_file_paths"
-        raise BagError(f"{key}: got {names!r}, allowed: a list of file names")
-    files = [path / Path(name).name for name in names]
-    for file in files:
-        if not file.is_file():
-            raise BagError(f"{path}: {file.name} is named in metadata.yaml but is not there")
-    cut = str(custom[CUT]) if isinstance(custom, dict) and CUT in custom else None
-    return McapSource(files, cut, origin)
-
-
-def _information(metadata: Path) -> dict[str, Any]:
-    """The bag information in a metadata.yaml."""
-    advice = "give the .mcap file itself to read the bag without it"
-    try:
-        content = yaml.safe_load(metadata.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = str(error).splitlines()[0]
-        raise BagError(f"{metadata}: not YAML: {reason}; {advice}") from None
-    information = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
-    if not isinstance(information, dict):
-        raise BagError(f"{metadata}: has no rosbag2_bagfile_information; {advice}")
-    return information
-
-
-def _part_number(path: Path) -> tuple[int, str]:
-    """Sorts bag_2.mcap before bag_10.mcap."""
-    number = path.stem.rpartition("_")[2]
-    return (int(number) if number.isdigit() else 0, path.name)
-
-
-class _RosbagsSource:
-    """Bags that are not plain MCAP (sqlite3, compressed files), read with the `rosbags` library."""
-
-    def __init__(self, path: Path, origin: Mapping[str, str] | None = None) -> None:
-        from rosbags.rosbag2 import Reader
-
-        self.path = path
-        self.warning: str | None = None
-        self.cut: str | None = None
-        self.origin = dict(origin or {})
-        counts: Counter[tuple[str, str]] = Counter()
-        with self._reporting(), Reader(path) as reader:
-            for connection in reader.connections:
-                counts[connection.topic, connection.msgtype] += connection.msgcount
-            some = reader.message_count > 0
-            self.start = reader.start_time if some else None
-            self.end = reader.end_time - 1 if some else None
-        self.topics = tuple(Topic(name, type, count) for (name, type), count in counts.items())
-
-    def messages(self) -> Iterator[Message]:
-        from rosbags.rosbag2 import Reader
-
-        numbers: defaultdict[str, int] = defaultdict(int)
-        with self._reporting(), Reader(self.path) as reader:
-            for connection, time, data in reader.messages():
-                numbers[connection.topic] += 1
-                number = numbers[connection.topic]
-                yield Message(connection.topic, connection.msgtype, time, time, bytes(data), number)
-
-    def _reporting(self) -> _Reporting:
-        return _Reporting(self.path)
-
-
-class _Reporting:
-    """Turns whatever broken bytes make `rosbags` and its databases raise into BagError."""
+class Opened:
+    """The source of a bag, and what its metadata.yaml says beside."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.cut: str | None = None
+        """Why its writer ended it early, as its metadata says; it is whole all the same."""
+        self.notes: list[str] = []
+        """What its metadata.yaml says otherwise than its messages do, or fails to say."""
+        try:
+            information = self._information(path)
+            self.source = _source(path, information)
+        except OSError as error:
+            raise BagError(f"{error.filename or path}: cannot be read: {error.strerror}") from None
+        custom = information.get("custom_data")
+        if isinstance(custom, dict) and CUT in custom:
+            self.cut = str(custom[CUT])
+        self.source.origin = self.source.origin | origin_in(custom)
+        self._compare(information)
 
-    def __enter__(self) -> None: ...
+    def _information(self, path: Path) -> dict[str, Any]:
+        """The bag information of a folder; empty where there is none."""
+        metadata = path / "metadata.yaml"
+        if not metadata.is_file():
+            return {}
+        try:
+            content = yaml.safe_load(metadata.read_text(encoding="utf-8"))
+            information = content["rosbag2_bagfile_information"]
+            if isinstance(information, dict):
+                return information
+            reason = "no rosbag2_bagfile_information"
+        except (yaml.YAMLError, ValueError) as error:
+            reason = f"not YAML: {' '.join(str(error).split())}"
+        except (TypeError, KeyError):
+            reason = "no rosbag2_bagfile_information"
+        self.notes.append(f"metadata.yaml is left out: {reason}")
+        return {}
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if isinstance(error, Exception) and not isinstance(error, BagError):
-            raise BagError(f"{self.path}: cannot be read: {error}") from None
+    def _compare(self, information: dict[str, Any]) -> None:
+        """Notes where the metadata says something else than the messages; messages that are missing are a warning."""
+        source = self.source
+        said, found = information.get("message_count"), sum(topic.count for topic in source.topics)
+        if isinstance(said, int) and said > found and not source.foreign:
+            source.warnings.append(f"metadata.yaml tells of {said} messages, {found} can be read")
+        elif isinstance(said, int) and said < found:
+            self.notes.append(f"metadata.yaml tells of {said} messages, there are {found}")
+        if not found or source.start is None or source.end is None:
+            return
+        for key, unit, there in (
+            ("starting_time", "nanoseconds_since_epoch", source.start),
+            ("duration", "nanoseconds", source.end - source.start),
+        ):
+            block = information.get(key)
+            told = block.get(unit) if isinstance(block, dict) else None
+            if isinstance(told, int) and abs(told - there) > _CLOSE_ENOUGH:
+                what = key.replace("_", " ")
+                self.notes.append(f"metadata.yaml tells of a {what} of {1e-9 * told:.3f} s, it is {1e-9 * there:.3f} s")
+
+
+def _source(path: Path, information: dict[str, Any]) -> Source:
+    """The reader for the files of a bag. Raises OSError and BagError."""
+    scratch = Scratch()
+    if not path.exists():
+        raise BagError(f"{path}: no such bag; give a rosbag2 folder or an .mcap file")
+    paths = list(_files(path, information)) if path.is_dir() else [path]
+    if not paths:
+        raise BagError(f"{path}: not a bag: holds no .mcap and no .db3 file")
+    files = [stored(file, scratch) for file in paths]
+    kinds = {file.kind for file in files}
+    if "ros1" in kinds:
+        ours, theirs = f"finger_sim import {path} -o NAME", f"rosbags-convert --src {path} --dst FOLDER"
+        raise BagError(f"{path}: a ROS 1 bag: `{ours}` makes a bag of its poses, `{theirs}` one of all topics")
+    if {"mcap", "sqlite3"} <= kinds:
+        raise BagError(f"{path}: holds MCAP files and sqlite3 files; give one of them")
+    if "sqlite3" in kinds or any(_awaits_log(file) for file in files):
+        from .sqlite_files import SqliteSource
+
+        return SqliteSource(files, scratch)
+    from .mcap_files import McapSource
+
+    return McapSource(files, scratch)
+
+
+def _files(path: Path, information: dict[str, Any]) -> Iterator[Path]:
+    """The files of a bag in a folder, in their order."""
+    names = information.get("relative_file_paths")
+    if isinstance(names, list) and names and all(isinstance(name, str) for name in names):
+        for name in names:
+            plain = path / Path(name).name
+            found = next((file for ending in PACKED if (file := Path(f"{plain}{ending}")).is_file()), None)
+            if found is None:
+                raise BagError(f"{path}: {plain.name} is named in metadata.yaml but is not there")
+            yield found
+        return
+    named = {file.name: file for file in path.iterdir() if file.name.endswith(BAGS[1:]) and file.is_file()}
+    twice = {f"{name}{ending}" for name in named for ending in PACKED[1:]}  # its recorder was still packing it
+    yield from (named[name] for name in sorted(named.keys() - twice, key=_part_number))
+
+
+def _awaits_log(file: Stored) -> bool:
+    """Whether a file is still empty, with all that is to be in it in a log beside it."""
+    log = Path(f"{file.path}-wal")
+    return file.kind is None and file.path.stat().st_size == 0 and log.is_file() and log.stat().st_size > 0
+
+
+def _part_number(name: str) -> tuple[int, str]:
+    """Sorts bag_2.mcap before bag_10.mcap."""
+    number = name.partition(".")[0].rpartition("_")[2]
+    return (int(number) if number.isdigit() else 0, name)

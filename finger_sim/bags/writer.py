@@ -194,7 +194,7 @@ class BagWriter:
         if self._open:
             self.close()
             return
-        from .mcap_files import finish_cut_off
+        from .mcap_end import finish_cut_off
 
         part = self._parts[-1]
         try:

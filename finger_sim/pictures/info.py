@@ -57,15 +57,18 @@ def _bag(path: Path) -> Iterator[tuple[str, Table]]:
         "duration": f"{reader.duration:.3f} s",
         "messages": str(reader.message_count),
         "whole": f"no: {reader.warning or reader.cut}" if reader.warning or reader.cut else "yes",
-        "numbers missing": str(sum(topic.lost for topic in reader.topics)),
+        "numbers missing": str(sum(topic.lost or 0 for topic in reader.topics)),
     }
-    yield f"bag {path}", _pairs(facts | _origin(reader))
-    times: dict[str, list[int]] = {topic.name: [] for topic in reader.topics}
+    about = _pairs(facts | _origin(reader))
+    for note in reader.notes:
+        about.add_row("note", note)
+    yield f"bag {path}", about
+    times: dict[tuple[str, str], list[int]] = {(topic.name, topic.type): [] for topic in reader.topics}
     for message in reader:
-        times[message.topic].append(message.log_time)
+        times[message.topic, message.type].append(message.log_time)
     topics = table("topic", "type", "messages", "rate [Hz]", "longest gap [s]", "lost")
     for topic in reader.topics:
-        intervals = np.diff(np.array(times[topic.name])) * 1e-9
+        intervals = np.diff(np.array(times[topic.name, topic.type])) * 1e-9
         usual = float(np.median(intervals)) if len(intervals) else 0.0
         topics.add_row(
             topic.name,
@@ -73,7 +76,7 @@ def _bag(path: Path) -> Iterator[tuple[str, Table]]:
             str(topic.count),
             f"{1.0 / usual:.4g}" if usual > 0.0 else "–",
             f"{intervals.max():.3g}" if len(intervals) else "–",
-            str(topic.lost),
+            "–" if topic.lost is None else str(topic.lost),
         )
     yield "topics", topics
     yield from _commands(reader)

@@ -11,7 +11,10 @@ from pathlib import Path
 
 from ..errors import BagError, SceneError
 
-SCENES, BAGS, MESH = (".yaml", ".yml"), (".mcap", ".db3", ".bag"), ".vtu"
+SCENES, MESH = (".yaml", ".yml"), ".vtu"
+_STORAGE, PACKED = (".mcap", ".db3"), ("", ".zstd", ".zst", ".lz4", ".gz")
+BAGS = (".bag", *(f"{storage}{packed}" for storage in _STORAGE for packed in PACKED))
+"""How names of bags' files end."""
 """How the names of files end: of scenes, of recordings in a bag, of shipped meshes."""
 CLAIMS = {"claims", "rungs"}
 """Files beside the presets that are no scenes: what was measured."""
@@ -107,8 +110,8 @@ def _own(name: str | Path, base: Path) -> Path:
 def _is_bag(path: Path) -> bool:
     """Whether it is a recording, or a folder with one."""
     if path.is_dir():
-        return (path / "metadata.yaml").is_file() or any(file.suffix in BAGS for file in path.iterdir())
-    return path.suffix in BAGS and path.is_file()
+        return (path / "metadata.yaml").is_file() or any(file.name.endswith(BAGS) for file in path.iterdir())
+    return path.name.endswith(BAGS) and path.is_file()
 
 
 def _tried(test: Callable[[Path], bool], path: Path) -> bool:

@@ -610,7 +610,7 @@ def test_sqlite_bags_are_read_alike(tmp_path: Path) -> None:
     assert not reader.truncated
     database = next((tmp_path / "db").glob("*.db3"))
     database.write_bytes(database.read_bytes()[:3000])
-    with pytest.raises(BagError, match="cannot be read"):
+    with pytest.raises(BagError, match="cut off at byte 3000 of"):
         read_commands(tmp_path / "db")
 
 
@@ -653,8 +653,6 @@ def test_empty_foreign_and_missing_bags_are_refused(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "yaml").mkdir()
     (tmp_path / "yaml" / "metadata.yaml").write_text("a: [")
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "metadata.yaml").write_text("a: 1")
     gone = write_poses(tmp_path / "gone", 3)
     mcap_file(gone).unlink()
     _foreign(tmp_path / "ros1.mcap", "ros1", "ros1")
@@ -664,8 +662,7 @@ def test_empty_foreign_and_missing_bags_are_refused(tmp_path: Path) -> None:
         "noise.mcap": "not an MCAP file",
         "missing": "no such bag",
         "folder": "not a bag",
-        "yaml": "not YAML",
-        "other": "no rosbag2_bagfile_information",
+        "yaml": "not a bag",
         "gone": "gone_0.mcap is named in metadata.yaml but is not there",
         "ros1.mcap": "profile 'ros1'",
         "json.mcap": "no ROS 2 messages",

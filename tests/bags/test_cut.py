@@ -11,6 +11,7 @@ from mcap.writer import Writer
 from finger_sim.bags import cdr
 from finger_sim.bags.interrupts import deferred
 from finger_sim.bags.mcap_files import McapSource
+from finger_sim.bags.packing import Stored
 from finger_sim.bags.reader import BagReader, BagWriter
 from finger_sim.errors import BagError
 
@@ -56,10 +57,10 @@ def test_messages_outside_of_chunks_are_read_in_runs(tmp_path: Path) -> None:
         for k, time in enumerate(times):
             writer.add_message(channel, time, pose(k), time, k + 1)
         writer.finish()
-    source = McapSource([path])
+    source = McapSource([Stored(path, path, "mcap")])
     assert len(source.segments) < 10
     assert [message.log_time for message in source.messages()] == sorted(times)
-    assert (source.topics[0].count, source.warning) == (20_000, None)
+    assert (source.topics[0].count, source.warnings) == (20_000, [])
 
 
 @pytest.mark.parametrize(("number", "error"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])

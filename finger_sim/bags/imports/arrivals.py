@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from ...errors import BagError
 from .. import cdr
 from ..message import Topic
+from ..packing import kind_of_file
 from ..reader import BagReader, absolute
-from ..sources import ROS1_MAGIC
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -39,15 +39,7 @@ class Bag(Protocol):
 
 def open_bag(path: Path) -> Bag:
     """The bag at `path`. Raises BagError when there is none that can be read."""
-    return Ros1Bag(path) if is_ros1(path) else Ros2Bag(path)
-
-
-def is_ros1(path: Path) -> bool:
-    """Whether a file begins as bags of ROS 1 do."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as stream:
-        return stream.read(len(ROS1_MAGIC)) == ROS1_MAGIC
+    return Ros1Bag(path) if path.is_file() and kind_of_file(path) == "ros1" else Ros2Bag(path)
 
 
 class Ros2Bag:

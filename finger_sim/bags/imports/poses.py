@@ -13,16 +13,14 @@ from ...arrays import Floats
 from ...errors import BagError, SceneError
 from ...scene import Pose, checked_pose
 from ..course import Course, Figures, figures
-from ..mcap_files import MAGIC
+from ..packing import kind_of_file
 from ..reader import START, absolute, require_absent, write_commands
-from .arrivals import is_ros1
 from .formats import FORMATS
 from .recorded import DEFAULTS, ORIENTATION, POSITION, Reading, Recorded
 from .text import read_text
 from .topics import read_bag
 from .turns import between, parsed_turn, product
 
-_SQLITE = b"SQLite format 3\0"
 PAD_DOWN = "--set qx=0.7071 --set qw=0.7071"
 """What lays the pad of a finger of the identity orientation on the table."""
 MOST_POSES = 10_000_000
@@ -123,7 +121,7 @@ def import_poses(
 def _read(source: Path, reading: Reading) -> Recorded:
     """The poses of a recording, by what it is."""
     try:
-        is_bag = source.is_dir() or is_ros1(source) or _begins(source, MAGIC) or _begins(source, _SQLITE)
+        is_bag = source.is_dir() or (source.is_file() and kind_of_file(source) is not None)
     except OSError as error:
         raise BagError(f"{source}: cannot be read: {error.strerror}") from None
     if reading.format == "bag" or (is_bag and reading.format is None):
@@ -134,11 +132,6 @@ def _read(source: Path, reading: Reading) -> Recorded:
         if given:
             raise BagError(f"{source}: is no bag; {option} is for bags: {FORMATS['bag']}")
     return read_text(source, reading)
-
-
-def _begins(source: Path, magic: bytes) -> bool:
-    with source.open("rb") as stream:
-        return stream.read(len(magic)) == magic
 
 
 def _check(changes: Changes) -> None:
