@@ -34,7 +34,7 @@ def test_read_as_written(name: str, content: str, tmp_path: Path) -> None:
     assert (
         {(m.topic, m.type) for m in put.put} <= {(topic.name, topic.type) for topic in reader.topics} <= {*put.topics}
     )
-    assert reader.warning is None
+    assert (reader.warning, reader.notes) == (None, ())
     if recording.format.storage == "mcap":
         assert [m.sequence for m in reader] == [m.sequence for m in put.ordered]
         lost = sum(topic.lost or 0 for topic in reader.topics)
@@ -81,7 +81,9 @@ def test_metadata_that_disagrees_is_told_and_not_believed(name: str, wrong: str,
     write_metadata(recording.path, words)
     reader, messages = read(recording.path)
     assert messages == [m.seen for m in recording.content.ordered]
-    assert "metadata.yaml" in str(reader.warning)
+    said = " ".join([reader.warning or "", *reader.notes])
+    assert "metadata.yaml" in said
+    assert (reader.warning is None) == (wrong != "full disk")
 
 
 @pytest.mark.parametrize("name", ["mcap", "db3 schema 4"])
