@@ -66,9 +66,10 @@ class Case(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """How a case went: "whole", "warned", "unnoticed" (less than was put in, and nothing tells), "refused" or "failed"."""
+    """How a case went."""
 
     word: str
+    """"whole", "warned", "unnoticed" (not what was put in, and nothing can tell), "refused" or "failed"."""
     seconds: float = 0.0
     memory: int = 0
     """Most that it took beyond what the process had before [byte]."""
