@@ -110,6 +110,11 @@ class _File:
             raise Damaged("a message of an unknown channel")
         return self.channels[number]
 
+    def topic(self, number: int) -> tuple[str, str] | None:
+        """Name and type of the channel of that number; None where it is not of ROS 2."""
+        channel = self.channel(number)
+        return (channel.topic, self.type_of(channel)) if channel.message_encoding == "cdr" else None
+
     def skip(self, offset: int, reason: str, size: int) -> int | None:
         """Notes a damaged place; where the next chunk that the index names begins, None where there is none."""
         chunks = [chunk for chunk in self.summary.chunks if chunk.offset >= offset]
@@ -209,16 +214,16 @@ class McapSource(Source):
         file = self.files[index]
         length = place.size - RECORD.size
         if opcode == Opcode.METADATA:
-            self._learn_origin(index, stream, length)
+            self._learn_origin(index, stream, place)
         elif opcode == Opcode.MESSAGE_INDEX and file.gaps:
             self._count_missing(file.gaps[-1], stream, place)
-        elif opcode == Opcode.MESSAGE and file.gaps:
+        elif opcode == Opcode.MESSAGE and not all(gap.empty for gap in file.gaps):
             raise Damaged("a message outside of the chunks")  # behind a damaged chunk that is rather a piece of it
         elif opcode in (Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
             place.chunked = opcode == Opcode.CHUNK
             try:
                 messages = self._read(stream, place)
-                keys = [(file.channel(number), sequence) for number, sequence, *_ in messages]
+                topics = {number: file.topic(number) for number in {message[0] for message in messages}}
             except Damaged as damage:
                 if not place.chunked:
                     raise
@@ -226,16 +231,20 @@ class McapSource(Source):
                 times = chunk_times(stream.read(min(length, 16)))
                 file.gaps.append(_Gap(place.offset, place.offset + place.size, str(damage), times))
                 return
-            for (channel, sequence), (_, _, log_time, _, data) in zip(keys, messages, strict=True):
-                if channel.message_encoding != "cdr":
+            counted = {
+                number: numbers.setdefault((*topic, number), Numbers())
+                for number, topic in topics.items()
+                if topic is not None
+            }
+            for number, sequence, log_time, _, data in messages:
+                if number not in counted:
                     continue
                 try:
                     plain_message(data)
                 except PackingError as error:
-                    file.unpackable.append(f"{error} on topic {channel.topic}")
+                    file.unpackable.append(f"{error} on topic {file.channels[number].topic}")
                     continue
-                key = (channel.topic, file.type_of(channel), channel.id)
-                numbers.setdefault(key, Numbers()).take(sequence)
+                counted[number].take(sequence)
                 place.start, place.end = min(place.start, log_time), max(place.end, log_time)
             if place.start <= place.end:
                 self._add(place)
@@ -250,15 +259,17 @@ class McapSource(Source):
                 gap.count += listed // _INDEX_ENTRY
                 gap.end += place.size
 
-    def _learn_origin(self, index: int, stream: BinaryIO, length: int) -> None:
+    def _learn_origin(self, index: int, stream: BinaryIO, place: _Segment) -> None:
         """Words on the bag's making, if the metadata record at the stream's place has some; of each the first counts.
 
         Which part of a bag a file is matters only where those before it are not read too.
         """
         try:
-            record = Metadata.read(ReadDataStream(BytesIO(stream.read(length))))
+            record = Metadata.read(ReadDataStream(BytesIO(stream.read(place.size - RECORD.size))))
         except BROKEN:
-            raise Damaged("a broken record") from None
+            end = place.offset + place.size
+            self.files[index].gaps.append(_Gap(place.offset, end, "broken metadata", empty=True))
+            return
         if record.name == ORIGIN:
             part = record.metadata.pop("part", None)
             self.origin = record.metadata | self.origin
@@ -312,17 +323,17 @@ class McapSource(Source):
                 while pending and pending[0][0] < segment.start:
                     yield heapq.heappop(pending)[-1]
                 file = self.files[segment.file]
-                for i, (number, sequence, logged, published, data) in enumerate(
-                    self._read(streams[segment.file], segment)
-                ):
-                    channel = file.channel(number)
-                    if channel.message_encoding != "cdr":
+                read = self._read(streams[segment.file], segment)
+                topics = {number: file.topic(number) for number in {message[0] for message in read}}
+                for i, (number, sequence, logged, published, data) in enumerate(read):
+                    known = topics[number]
+                    if known is None:
                         continue
                     try:
                         plain = plain_message(data)
                     except PackingError:
                         continue
-                    message = Message(channel.topic, file.type_of(channel), logged, published, plain, sequence)
+                    message = Message(*known, logged, published, plain, sequence)
                     heapq.heappush(pending, (logged, segment.file, segment.offset, i, message))
             while pending:
                 yield heapq.heappop(pending)[-1]

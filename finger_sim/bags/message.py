@@ -64,6 +64,8 @@ def _topic(name: str, type: str, channels: list[Numbers]) -> Topic:
 
 def plain_message(data: bytes) -> bytes:
     """A message's CDR, where it was compressed too; rosbag2 tells that only in metadata.yaml. Raises PackingError."""
+    if data.startswith(b"\0"):  # as all CDR does
+        return data
     kind = kind_of(data[:4])
     return inflated(data, kind) if kind in PACKED else data
 

@@ -95,7 +95,9 @@ class Scribe:
             bag, self._bag = self._bag, None
             reason = str(error) if isinstance(error, BagError) else repr(error)
             if bag is not None:
-                bag.abort()
+                with contextlib.suppress(BagError):
+                    bag.cut(reason)
+                self._ring.saved = bag.saved
                 reason = reason if isinstance(error, BagError) else f"{bag.path}: {reason}"
                 reason += "; what was recorded before stays readable"
             self._answer({"error": reason})
@@ -116,6 +118,7 @@ class Scribe:
             self._bag.write(self._topics[topic], data, log_time, sequence=sequence)
         if time.monotonic() - self._flushed >= FLUSH_PERIOD:
             self._bag.flush()
+            self._ring.saved = self._bag.saved
             self._flushed = time.monotonic()
 
     def _finish(self, ending: Ending) -> None:
@@ -123,6 +126,7 @@ class Scribe:
             self._write()
             self._bag.say_at_end(ending["origin"])
             self._bag.close()
+            self._ring.saved = self._bag.saved
             self._bag = None
             self._answer({"closed": True})
 

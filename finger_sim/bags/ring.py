@@ -14,7 +14,7 @@ SIZE = 1 << 24
 
 _HEAD = struct.Struct("<IHIQ")
 _PAGE = mmap.PAGESIZE
-_PUT, _TAKEN, _DONE = 0, 1, 2  # words of the first page: bytes put, bytes taken, records done
+_PUT, _TAKEN, _DONE, _SAVED = range(4)  # words of the first page: bytes put, bytes taken, records done, records saved
 
 
 class Record(NamedTuple):
@@ -40,6 +40,15 @@ class Ring:
     def done(self) -> int:
         """Records that the other end has done with since it began anew."""
         return self._words[_DONE]
+
+    @property
+    def saved(self) -> int:
+        """Records of which the other end says that they are where they last."""
+        return self._words[_SAVED]
+
+    @saved.setter
+    def saved(self, count: int) -> None:
+        self._words[_SAVED] = count
 
     def put(self, topic: int, sequence: int, log_time: int, data: bytes) -> bool:
         """Puts a record where there is room for it; False if there is none."""
@@ -79,7 +88,7 @@ class Ring:
     def begin_anew(self) -> None:
         """Forgets what is there and counts from 0; for the end that takes, while the other puts nothing."""
         self._words[_TAKEN] = self._words[_PUT]
-        self._words[_DONE] = 0
+        self._words[_DONE] = self._words[_SAVED] = 0
 
     def touch(self) -> None:
         """Has the system make all the memory now, not when a record is first put there."""

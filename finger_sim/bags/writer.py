@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -61,6 +62,8 @@ class BagWriter:
         self._parts: list[Part] = []
         self._chunk_start: int | None = None
         self._open = False
+        self.saved = 0
+        """Messages that have reached the operating system: what a kill or a full disk leaves."""
         require_absent(self.path)
         self._folders = [self.path, *(folder for folder in self.path.parents if not folder.exists())]
         try:
@@ -171,6 +174,7 @@ class BagWriter:
         except OSError as error:
             raise self._failed(error) from None
         self._chunk_start = None
+        self.saved = sum(self.counts.values())
 
     def close(self) -> None:
         """Writes index and metadata.yaml and closes; closing again does nothing."""
@@ -178,6 +182,7 @@ class BagWriter:
             return
         self._finish_file(last=True)
         self._open = False
+        self.saved = sum(self.counts.values())
         try:
             self._write_metadata()
         except OSError as error:
@@ -188,25 +193,33 @@ class BagWriter:
 
         Where the disk has refused a message, the bag ends with the last whole chunk that leaves room for the end of
         the file; that end has no index, which readers do without.
-        Raises BagError when not even that can be written, or no message is left.
+        Raises BagError when not even that can be written, and when no message is left; what is there can be read then.
         """
         self.custom_data[CUT] = why
         if self._open:
             self.close()
             return
-        from .mcap_end import finish_cut_off
+        from .mcap_end import finish_cut_off, readable
 
-        part = self._parts[-1]
         try:
-            counts, part.first, part.last = finish_cut_off(part.file)
-            if not counts.total():
+            self._count_last(*readable(self._parts[-1].file))
+            if self._parts[-1].counts:
+                self._count_last(*finish_cut_off(self._parts[-1].file))
+            elif len(self._parts) > 1:
+                self._parts.pop().file.unlink(missing_ok=True)
+            if not self.saved:
                 raise BagError(f"{self.path}: no message is left")
-            for name, topic in self._recorded.items():
-                topic.count -= part.counts[name] - counts[name]
-            part.counts = counts
             self._write_metadata()
         except OSError as error:
             raise BagError(f"{self.path}: cannot be finished: {error.strerror}") from None
+
+    def _count_last(self, counts: Counter[str], first: int, last: int) -> None:
+        """The last file holds these messages [by topic], between these log times [ns], and no others."""
+        part = self._parts[-1]
+        for name, topic in self._recorded.items():
+            topic.count -= part.counts[name] - counts[name]
+        part.counts, part.first, part.last = counts, first, last
+        self.saved = sum(self.counts.values())
 
     def abort(self) -> None:
         """Stops where it is: what was written stays readable, without index and metadata.yaml."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -63,7 +64,7 @@ def _bag(path: Path) -> Iterator[tuple[str, Table]]:
     for note in reader.notes:
         about.add_row("note", note)
     yield f"bag {path}", about
-    times: dict[tuple[str, str], list[int]] = {(topic.name, topic.type): [] for topic in reader.topics}
+    times = {(topic.name, topic.type): array("Q") for topic in reader.topics}
     for message in reader:
         times[message.topic, message.type].append(message.log_time)
     topics = table("topic", "type", "messages", "rate [Hz]", "longest gap [s]", "lost")

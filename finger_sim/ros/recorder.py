@@ -93,8 +93,8 @@ class Recorder:
 
     @property
     def written(self) -> int:
-        """Messages in the bag."""
-        return self._ring.done if self._written is None else self._written
+        """Messages that have reached the bag's file; where its process was killed, or hangs, it may hold more."""
+        return self._ring.saved if self._written is None else self._written
 
     def put(self, topic: str, data: bytes, received: int) -> bool:
         """Hands over one message of CDR bytes received at a steady time [ns]; False if it was dropped."""
@@ -159,7 +159,7 @@ class Recorder:
     def _end(self, error: str | None) -> None:
         """From now on the process is another's."""
         with self._lock:
-            self._written = self._ring.done
+            self._written = self._ring.saved
             self.error = error
         if error is not None:
             self._failed(f"recording stopped: {error}")

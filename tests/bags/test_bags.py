@@ -500,7 +500,7 @@ import resource, sys
 from finger_sim.bags import cdr
 from finger_sim.bags.reader import BagReader, BagWriter
 from finger_sim.errors import BagError
-resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
 bag = BagWriter(sys.argv[1], compression="none")
 bag.add_topic("pose", cdr.POSE_STAMPED)
 try:
@@ -512,20 +512,31 @@ try:
     bag.write("pose", b"", 0)
 except BagError as error:
     print(error)
-bag.close()
-print(BagReader(sys.argv[1]).message_count)
+try:
+    bag.cut("it was full")
+    print("finished")
+except BagError as error:
+    print(error)
+print(bag.saved)
 """
 
 
-def test_full_disk_is_told_and_the_rest_stays_readable(tmp_path: Path) -> None:
-    """When the system refuses to write, the reason is in the error and the chunks before it can be read."""
+@pytest.mark.parametrize(("limit", "end"), [(60_000, "too short for an end"), (200_000, "finished")])
+def test_full_disk_is_told_and_the_rest_stays_readable(tmp_path: Path, limit: int, end: str) -> None:
+    """When the system refuses to write, the reason is in the error, and what reached the disk is read and counted.
+
+    Cut there, the bag is finished where that leaves room for its end; where it does not, nothing is taken from it.
+    """
     path = tmp_path / "bag"
-    done = subprocess.run([sys.executable, "-c", FILL_DISK, str(path)], capture_output=True, text=True, check=True)
-    first, second, count = done.stdout.splitlines()
+    arguments = [sys.executable, "-c", FILL_DISK, str(path), str(limit)]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True)
+    first, second, third, count = done.stdout.splitlines()
     assert "File too large" in first
     assert "closed" in second
-    assert int(count) >= 250
-    assert BagReader(path).truncated
+    assert end in third
+    reader = BagReader(path)
+    assert reader.message_count == len(list(reader)) == int(count) >= 250
+    assert (reader.truncated, reader.cut) == ((False, "it was full") if end == "finished" else (True, None))
 
 
 def test_a_disk_that_fills_up_between_two_files_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -546,7 +557,9 @@ def test_a_disk_that_fills_up_between_two_files_is_told(tmp_path: Path, monkeypa
     monkeypatch.undo()
     with mcap_file(tmp_path / "bag").open("rb") as stream:
         assert sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages()) == 250
-    assert BagReader(tmp_path / "bag").warning is None
+    bag.cut("full")
+    reader = BagReader(tmp_path / "bag")
+    assert (reader.warning, reader.cut, reader.message_count, bag.saved) == (None, "full", 250, 250)
 
 
 def test_existing_and_impossible_outputs_are_refused(tmp_path: Path) -> None:

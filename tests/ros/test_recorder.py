@@ -182,6 +182,7 @@ def test_a_full_disk_ends_the_recording_with_its_reason(disk):
     assert len(disk.told) == 1
     numbers = sequences(disk.path)["/a"]
     assert numbers == list(range(1, len(numbers) + 1))
+    assert recorder.written == len(numbers)
     other = Recorder(disk.path.with_name("other"), TOPICS, 10, disk.standby.pipe())
     assert other.put("/b", WRENCH, 1000)
     other.close()
