@@ -13,6 +13,7 @@ import signal
 import tempfile
 import time
 import traceback
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -311,6 +312,7 @@ def _serve(connection: Connection) -> None:
     with tempfile.TemporaryDirectory(prefix="recordings_") as folder:
         trials = Trials(Path(folder))
         trials.run(Case("mcap", 0, ()))
+        warnings.simplefilter("error", RuntimeWarning)  # numpy would print that of numbers that are none
         limit = _status("VmSize") + MOST_MEMORY
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
         signal.signal(signal.SIGPROF, signal.SIG_DFL)
