@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given, seed, settings
 from recordings.fuzz import QUIET, cases_of
-from recordings.trial import TRIED, Case, Court
+from recordings.trial import TRIED, Case, Change, Court
 
 CASES = 10
 """Of each format; `python -m tests.recordings.fuzz` tries thousands."""
+
+MOST_OF_A_CHUNK = 100 << 20
+"""What a small recording may take to read [byte]."""
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +32,7 @@ def test_unchanged_recordings_are_whole(name: str, court: Court) -> None:
 def test_changed_recordings_are_read_or_refused(name: str, court: Court) -> None:
     """Read whole, read with a warning, or refused by a clear error."""
 
+    @seed(sorted(TRIED).index(name))
     @settings(QUIET, max_examples=CASES)
     @given(cases_of(name))
     def each(case: Case) -> None:
@@ -36,3 +40,11 @@ def test_changed_recordings_are_read_or_refused(name: str, court: Court) -> None
         assert outcome.word != "failed", outcome.reason
 
     each()
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_chunk_takes_no_more_memory_than_it_says(compression: str, court: Court) -> None:
+    """It says 1 KiB and would be half a gigabyte."""
+    outcome = court.judge(Case(f"mcap {compression}", 0, (Change("bomb", 2, 0, 0),)))
+    assert outcome.word == "warned", outcome.reason
+    assert outcome.memory < MOST_OF_A_CHUNK

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 from .content import START, Content, plain
 from .damage import MAGIC, chunks, killed, records
-from .formats import FORMATS, Format, Recording, write
+from .formats import CODECS, FORMATS, Format, Recording, write
 
 COMMANDS_EACH = 24
 """Commands in a recording that is tried: few, as many recordings are."""
@@ -33,6 +33,9 @@ MOST_MEMORY = 2 << 30
 """What the process of a trial may take beyond what it has at its beginning [byte]."""
 MOST_SECONDS, LONGEST_WAIT = 20, 120
 """Time on its core, and by the clock, after which a trial hangs [s]."""
+
+BOMB = 1 << 29
+"""Bytes that a compressed chunk turns out to have."""
 
 KILLED = {"db3 killed": Format("sqlite3", folder=False), "db3 killed in folder": Format("sqlite3", metadata=False)}
 """Recordings whose recorder was killed: most of them is in the log beside the database."""
@@ -89,6 +92,8 @@ def changed(data: bytes, change: Change, other: bytes) -> bytes:
         number = NUMBERS[change.value % len(NUMBERS)] & ((1 << 8 * width) - 1)
         order = "big" if data.startswith(b"SQLite") else "little"
         return data[:at] + number.to_bytes(width, order) + data[at + width :]
+    if change.kind == "bomb":
+        return with_bomb(data, change.at)
     if change.kind == "text":
         lines = data.split(b"\n")
         line = lines[change.at % len(lines)]
@@ -105,6 +110,17 @@ def changed(data: bytes, change: Change, other: bytes) -> bytes:
         "double": head + rest[:length] + rest,
         "splice": head + other[at:],
     }[change.kind]
+
+
+def with_bomb(data: bytes, number: int) -> bytes:
+    """An MCAP file one of whose chunks is of many zeros, and says that it has few bytes."""
+    chunk = chunks(data)[number]
+    name = data[chunk.begin + 41 : chunk.inside - 8]
+    zeros = bytes(BOMB >> 3)
+    body = b"".join([CODECS["zstd" if name == b"zstd" else "lz4"](zeros)] * 8)
+    head = data[chunk.begin + 9 : chunk.inside - 8] + len(body).to_bytes(8, "little")
+    record = b"\x06" + (len(head) + len(body)).to_bytes(8, "little") + head + body
+    return data[: chunk.begin] + record + data[chunk.end :]
 
 
 def marks(data: bytes) -> list[tuple[int, int]]:
