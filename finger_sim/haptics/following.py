@@ -45,7 +45,7 @@ WINDOW_SLEW = 0.03
 CATCHING_UP = 0.1
 """Time constant with which the path follows a jump of time [s]."""
 CLOCK_SET = 1.0
-"""From so large a jump on [s] it is no loop that skipped steps, but a clock that was set."""
+"""From so large a jump on [s] it is no loop that skipped steps, but a clock that was set; back, from PAUSE on."""
 EXACT = 1e-6
 """Times nearer to each other than this are one [s]: a log has whole nanoseconds, simulated time none."""
 STALL, CAUGHT_UP = 2.5, 0.5
@@ -76,6 +76,7 @@ class Follower:
         if goal is not None and goal != pose:
             self._late = RESUME
             self._path.append(RESUME, goal)
+            self._prediction.begin(0.0, self._path.last_numbers, RESUME)
 
     def hear(self, pose: Pose, received: float | None = None) -> None:
         """A command that came at a time, by which the next step begins; None: just as that begins."""
@@ -90,7 +91,7 @@ class Follower:
         if (following == "predict") != self._predicts:
             self._turn_to(following, dt)
             path = self._path
-        if self.cadence is not None and now - self.cadence.received > PAUSE + dt:
+        if self.cadence is not None and self._paused(self.cadence, now, dt):
             del self._heard[:-1]  # after a pause, and after as long a stall, only the last one counts
         for pose, received in self._heard:
             self._take(pose, now if received is None else received, now, dt, following, stalls)
@@ -121,12 +122,17 @@ class Follower:
             return False
         offset = begin - now
         behind = self._offset - offset
-        if not EXACT < abs(behind) < CLOCK_SET:  # nor is it the first time
+        if abs(behind) <= EXACT or not -PAUSE < behind < CLOCK_SET:  # or it is the first time
             self._offset, self._stalled = offset, False
             return False
         self._offset -= behind * min(1.0, dt / CATCHING_UP)
         self._stalled = behind > (CAUGHT_UP if self._stalled else STALL) * dt
         return self._stalled
+
+    @staticmethod
+    def _paused(cadence: Cadence, now: float, dt: float) -> bool:
+        """Whether the last command is too long ago at a time; one as far ahead of it came before a clock was set."""
+        return not -PAUSE < now - cadence.received <= PAUSE + dt
 
     def _turn_to(self, following: Following, dt: float) -> None:
         """From the path to the prediction, or back: on from where the bone is, and as fast."""
@@ -137,7 +143,7 @@ class Follower:
         last, self._late = self._path.last, 0.0 if following == "hold" else RESUME
         self._window = 0.0 if following == "hold" else LONGEST_WINDOW
         self._path = Path.passing(self._time - dt, self._before, self.pose, dt, LONGEST_WINDOW)
-        meant = self._time if self.cadence is None else self.cadence.time + self._offset + dt
+        meant = self._time if self.cadence is None else min(self.cadence.time + self._offset + dt, self._time)
         self._path.append(max(meant + self._late, self._time), last)
 
     def _take(self, pose: Pose, received: float, now: float, dt: float, following: Following, stalls: bool) -> None:
@@ -145,14 +151,15 @@ class Follower:
         cadence, path, end = self.cadence, self._path, self._time
         begin = end - dt
         at = numbers(pose, path.last_numbers)
-        if cadence is None or now - cadence.received > PAUSE + dt:
+        if cadence is None or self._paused(cadence, now, dt):
+            received = min(received, now)
             takes = self._late
             if cadence is not None:
                 way = math.dist(at, path.last_numbers)
                 takes = min(RESUME, way / RESUME_SPEED) if way > RESUME_SPEED * dt and following != "hold" else 0.0
-                self._late = takes + max(0.0, now - received) if takes > 0.0 else 0.0
+                self._late = takes + min(now - received, PAUSE) if takes > 0.0 else 0.0
             self.cadence = Cadence(received, at)
-            self._prediction.begin(received, at)
+            self._prediction.begin(received, at, RESUME)
             path.stand(begin)
             path.append(end + takes, pose)
             return

@@ -51,13 +51,13 @@ class Prediction:
         was = numbers(before, numbers(pose, near))
         self._rate = [(b - a) / dt for a, b in zip(was, self._at, strict=True)]
 
-    def begin(self, time: float, at: Numbers) -> None:
-        """A first command, or the first after a pause, meant for a time [s]."""
+    def begin(self, time: float, at: Numbers, takes: float) -> None:
+        """A first command, or the first after a pause, meant for a time [s]; the bone takes about `takes` to it [s]."""
         self._at = numbers(self._pose, at)
         self._rate = _NOTHING
         self._heard.clear()
         self._heard.append((time, at))
-        self._interval = self._horizon = 0.0
+        self._interval, self._horizon = takes, 0.0
 
     def hear(self, time: float, at: Numbers, cadence: Cadence) -> None:
         """The next command."""
@@ -73,7 +73,7 @@ class Prediction:
         age = time - newest
         speed: Sequence[float] = _NOTHING
         took = max(newest - first, SHORTEST * self._interval, dt)
-        if newest > first and age <= self._horizon:
+        if newest > first and abs(age) <= self._horizon:
             speed = _bounded([(b - a) / took for a, b in zip(there, here, strict=True)])
         at, rate = [], []
         way = math.dist(self._at, [x + w * (age - dt) for x, w in zip(here, speed, strict=True)])

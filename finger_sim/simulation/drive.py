@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..arrays import Floats
+from ..errors import SceneError
 from ..haptics.coupling import CommandSpeed, between, displacement, follow, stop_at_plane
 from ..haptics.following import Follower
 from ..scene import Coupling, Pose, Vec3
@@ -35,7 +38,7 @@ class Drive:
         self.start = self.end = pose
         self.limited = False
         self.velocity: Floats = np.zeros(6)
-        self._speed = CommandSpeed()
+        self._speed: CommandSpeed | None = None  # while held
         self.follower.rest(pose, self.command)
 
     def hear(self, command: Pose, received: float | None) -> None:
@@ -69,8 +72,18 @@ class Drive:
     def _measure(self, coupling: Coupling, dt: float) -> None:
         """The velocity in the last step: of a path as it is, of jumps their mean."""
         if coupling.following == "hold":
+            self._speed = self._speed or CommandSpeed()
             self.velocity = self._speed.step(self.start, self.end, dt)
-        elif self.end is not self.start:
+            return
+        self._speed = None
+        if self.end is not self.start:
             self.velocity = np.array(displacement(self.start, self.end)) / dt
         elif self.velocity.any():
             self.velocity = np.zeros(6)
+
+
+def checked_time(time: float | None, name: str) -> float | None:
+    """A time [s], if there is one. Raises SceneError where it is not finite."""
+    if time is not None and not math.isfinite(time):
+        raise SceneError(name, time, "a finite time [s]")
+    return time

@@ -25,7 +25,7 @@ from ..physics.workspace import build_state
 from ..scene import Pose, Scene, Solver, Vec3, checked_pose, place
 from ..scene.mesh import TetMesh
 from .build import build_model, with_live_values
-from .drive import Drive
+from .drive import Drive, checked_time
 from .ground import Ground
 from .guard import Guard, Verdict
 from .result import StepResult, measured
@@ -87,7 +87,7 @@ class Simulator:
 
         Raises SceneError as `step` does; nothing has changed then.
         """
-        self._drive.hear(self._checked(command), received)
+        self._drive.hear(self._checked(command), checked_time(received, "received"))
 
     def step(self, command: Pose | None = None, plane: Pose | None = None, *, now: float | None = None) -> StepResult:
         """Advance by `scene.dt` towards `command`; None holds the last one. A free body takes no command.
@@ -96,11 +96,10 @@ class Simulator:
         plane: where the plane is wanted from now on, as the x-y plane of a pose (see Ground); None: as before.
         now: when the step begins [s], on the clock that `hear` was told times of; None: dt after the last one began.
 
-        Raises SceneError when a pose is refused (see checked_pose), or when the scene has no plane to move;
-        the state is then unchanged.
+        Raises SceneError when a pose is refused (see checked_pose), when the scene has no plane to move, or when a
+        time is not finite; the state is then unchanged.
         """
-        if plane is not None:
-            plane = self._checked_plane(plane)
+        plane, now = self._checked_plane(plane), checked_time(now, "now")
         if command is not None:
             self._drive.hear(self._checked(command), None)
         scene, drive, ground = self.scene, self._drive, self._ground
@@ -141,8 +140,10 @@ class Simulator:
             self._given = command
         return self._good
 
-    def _checked_plane(self, plane: Pose) -> Pose:
-        """A pose of the plane likewise."""
+    def _checked_plane(self, plane: Pose | None) -> Pose | None:
+        """A pose of the plane likewise; None where there is none."""
+        if plane is None:
+            return None
         if self._ground is None:
             raise SceneError("plane", None, "a scene with a plane, to move it")
         return checked_pose(plane, "plane")
@@ -204,8 +205,7 @@ class Simulator:
 
         Raises SceneError as `step` does; nothing has changed then.
         """
-        if plane is not None:
-            plane = self._checked_plane(plane)
+        plane = self._checked_plane(plane)
         pose = self._drive.command if pose is None else self._checked(pose)
         if self._ground is not None:
             self._ground.arrive(plane)

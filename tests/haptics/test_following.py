@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from physics_helpers import pose
 from scipy.spatial.transform import Rotation, Slerp
 
-from finger_sim import Pose, Scene, Simulator
+from finger_sim import Pose, Scene, SceneError, Simulator
 from finger_sim.haptics.cadence import Cadence
 from finger_sim.haptics.following import LONGEST_WINDOW, Follower, Following
 from finger_sim.haptics.path import numbers
@@ -255,6 +255,60 @@ def test_a_start_inside_the_plane_is_no_blow(scene: str) -> None:
         sim.step(pose((0.0, 0.0, height), FLAT))
     slowly = [sim.step(deep).contact_wrench[2] for _ in range(500)][-1]
     assert forces[-1, 2] == pytest.approx(slowly, rel=0.03)
+
+
+@for_each("following", ["hold", "predict"])
+def test_a_reset_inside_the_plane_goes_on_to_its_command(following: Following) -> None:
+    """Without another command, in every mode: there in three tenths of a second at most, and no faster than in one."""
+    sim = Simulator(Scene.load("finger_coupled").with_values({"coupling.following": following}))
+    deep = pose((0.0, 0.0, 0.0051), FLAT)
+    sim.reset(deep)
+    heights = [deep.position[2] + sim.set_down_by]
+    for _ in range(300):
+        sim.step()
+        heights.append(sim.follower.pose.position[2])
+    assert heights[-1] == pytest.approx(deep.position[2], abs=1e-6)
+    assert -np.diff(heights).min() < 2.0 * sim.set_down_by / 0.1 * MS
+
+
+def test_a_clock_that_is_set_ends_no_following() -> None:
+    """Back or forth, by an hour or by half a second: some tenths of a second later all is as it was before."""
+    for following in ("auto", "predict"):
+        for ahead in (-3600.0, -3.0, -0.5, 3.0):
+            follower, path = Follower(pose()), []
+            for k in range(2000):
+                now = k * MS + (ahead if k >= 1000 else 0.0)
+                if k % 15 == 0:
+                    follower.hear(pose((0.1 * k * MS, 0.0, 0.0)), now)
+                path.append(follower.advance(following, now, MS).position[0])  # type: ignore[arg-type]
+            assert follower.delay(following) < 0.025, (following, ahead)  # type: ignore[arg-type]
+            assert np.abs(np.diff(path)).max() < 3.0 * 0.1 * MS, (following, ahead)
+            assert path[1400:] == pytest.approx(0.1 * MS * np.arange(1400, 2000), abs=0.1 * 0.03), (following, ahead)
+
+
+def test_a_bone_at_rest_is_held_at_rest() -> None:
+    """Held, led along a path to its end, and held again: nothing is left of the speed that it had when held first."""
+    sim = Simulator(Scene.load("finger_coupled").with_values({"coupling.following": "hold"}))
+    sim.reset(pose((0.0, 0.0, 0.05), FLAT))
+    for _ in range(15):
+        sim.step()
+    sim.step(pose((0.002, 0.0, 0.05), FLAT))
+    for following in ("linear", "hold"):
+        sim.apply({"coupling.following": following})
+        forces = [np.linalg.norm(sim.step().device_wrench[:3]) for _ in range(500)]
+    assert max(forces) < 1e-6
+
+
+def test_a_time_that_is_none_is_refused() -> None:
+    """By name, and as if it had not been tried."""
+    sim = Simulator(Scene.load("finger_coupled"))
+    for bad in (np.nan, np.inf):
+        with pytest.raises(SceneError, match=f"received: got {bad}, allowed: a finite time"):
+            sim.hear(pose((0.0, 0.0, 0.2), FLAT), bad)
+        with pytest.raises(SceneError, match=f"now: got {bad}, allowed: a finite time"):
+            sim.step(pose((0.0, 0.0, 0.2), FLAT), now=bad)
+    assert sim.time == 0.0
+    assert sim.step(now=0.0).pose == Simulator(sim.scene).step(now=0.0).pose
 
 
 def test_modes_change_in_motion_without_a_jump() -> None:
