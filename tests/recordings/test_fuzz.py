@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 from hypothesis import given, seed, settings
+from recordings.formats import FORMATS
 from recordings.fuzz import QUIET, cases_of
-from recordings.trial import TRIED, Case, Change, Court
+from recordings.trial import TEXTS, TRIED, Case, Change, Court
 
 CASES = 10
 """Of each format; `python -m tests.recordings.fuzz` tries thousands."""
@@ -48,3 +49,14 @@ def test_a_chunk_takes_no_more_memory_than_it_says(compression: str, court: Cour
     outcome = court.judge(Case(f"mcap {compression}", 0, (Change("bomb", 2, 0, 0),)))
     assert outcome.word == "warned", outcome.reason
     assert outcome.memory < MOST_OF_A_CHUNK
+
+
+@pytest.mark.parametrize("name", ["mcap split", "db3 zstd messages"])
+def test_any_words_in_metadata(name: str, court: Court) -> None:
+    """Each of some texts that are no value, at three places."""
+    behind_the_others = FORMATS[name].files
+    for number in range(len(TEXTS)):
+        for place in range(3):
+            change = Change("text", 7 * number + 13 * place, 0, number)
+            outcome = court.judge(Case(name, behind_the_others, (change,)))
+            assert outcome.word != "failed", f"{TEXTS[number][:20]!r}: {outcome.reason}"

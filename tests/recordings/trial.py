@@ -221,7 +221,7 @@ class Trials:
             except FingerSimError as error:
                 _assert_clear(error, path)
                 word = "refused"
-            self._use(ready, path, whole=word == "whole" and ready.recording.format.covered)
+            self._use(path, whole=word == "whole" and ready.recording.format.covered)
         except AssertionError as error:
             return Outcome("failed", reason=f"{error}")
         except Exception as error:
@@ -231,14 +231,18 @@ class Trials:
         return Outcome(word, time.process_time() - begin, _memory_peak() - memory)
 
     def _read(self, case: Case, ready: _Ready, path: Path, data: bytes) -> str:
-        """All messages, as they must be."""
-        from finger_sim.bags.reader import BagReader
+        """All messages, and the commands of a replay, as they must be."""
+        from finger_sim.bags.reader import BagReader, commands_of
+        from finger_sim.errors import FingerSimError
 
         from .judges import assert_agrees, seen
 
         reader = BagReader(path)
         messages = list(reader)
         assert_agrees(reader, messages)
+        with contextlib.suppress(FingerSimError):
+            times = commands_of(reader).receipt_ns
+            assert (times[1:] >= times[:-1]).all(), "times of receipt fall"
         read = Counter(seen(messages))
         known = {*ready.put, *(ready.spliced if any(change.kind == "splice" for change in case.changes) else ())}
         if allowed := _strange_allowed(case, ready, data):  # one byte may change the name or the type of a topic
@@ -246,27 +250,23 @@ class Trials:
         else:
             strange = [each for each in read if each not in known]
         assert len(strange) <= allowed, f"strange messages: {len(strange)}, allowed {allowed}: {strange[0]}"
-        if read == ready.put:
-            return "warned" if reader.warning else "whole"
         if reader.warning:
             return "warned"
+        if read == ready.put:
+            return "whole"
         intact = ready.recording.format.folder and ready.recording.format.metadata and not _of_metadata(case, ready)
         missing = ready.put.total() - read.total()
         assert not (intact and missing > 0), f"silent loss: {missing} messages that metadata.yaml counts"
         return "unnoticed"
 
-    def _use(self, ready: _Ready, path: Path, whole: bool) -> None:
-        """What users do with it: a replay's commands, a comparison, `info`."""
+    def _use(self, path: Path, whole: bool) -> None:
+        """What users do with it: a comparison with the same in another format, and `info`."""
         from finger_sim.bags.compare import compare
-        from finger_sim.bags.reader import read_commands
         from finger_sim.errors import FingerSimError
         from finger_sim.pictures.info import info
 
         with contextlib.suppress(FingerSimError):
-            commands = read_commands(path)
-            assert (commands.receipt_ns[1:] >= commands.receipt_ns[:-1]).all(), "times of receipt fall"
-        with contextlib.suppress(FingerSimError):
-            found = compare(path, ready.recording.path)
+            found = compare(path, self.ready("mcap bare").recording.path)
             assert not whole or found.equal, "compare: not equal though the same was read"
         with contextlib.suppress(FingerSimError):
             list(info(str(path)))
