@@ -120,6 +120,8 @@ class SqliteSource(Source):
         numbers: dict[tuple[str, str, int], Numbers] = {}
         for file in self.files:
             cut = _cut_off(file.stored.path)
+            if cut:
+                file.stored = _whole_pages(file.stored, scratch)
             try:
                 self._scan(file, numbers)
             except (sqlite3.Error, BagError) as error:
@@ -177,6 +179,17 @@ def _cut_off(path: Path) -> list[str]:
     there, page, pages = path.stat().st_size, int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
     whole = (1 << 16 if page == 1 else page) * pages
     return [f"cut off at byte {there} of {whole}"] if there < whole else []
+
+
+def _whole_pages(file: Stored, scratch: Scratch) -> Stored:
+    """A copy without the part of a page at its end: sqlite3 would read zeros behind it."""
+    copy = scratch.place(file.path.name)
+    shutil.copyfile(file.path, copy)
+    with copy.open("r+b") as stream:
+        page = int.from_bytes(stream.read(18)[16:], "big")
+        size = copy.stat().st_size
+        stream.truncate(size - size % (1 << 16 if page == 1 else page))
+    return file._replace(path=copy)
 
 
 def _topics(connection: sqlite3.Connection) -> list[tuple[int, str, str, str]]:
