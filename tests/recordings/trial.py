@@ -73,7 +73,7 @@ class Outcome(NamedTuple):
     """How a case went."""
 
     word: str
-    """"whole", "warned", "unnoticed" (not what was put in, and nothing can tell), "refused" or "failed"."""
+    """"whole", "warned", "unnoticed" (not what was put in, and nothing tells), "refused" or "failed"."""
     seconds: float = 0.0
     memory: int = 0
     """Most that it took beyond what the process had before [byte]."""
@@ -250,7 +250,7 @@ class Trials:
         else:
             strange = [each for each in read if each not in known]
         assert len(strange) <= allowed, f"strange messages: {len(strange)}, allowed {allowed}: {strange[0]}"
-        if reader.warning:
+        if reader.warning or reader.notes:
             return "warned"
         if read == ready.put:
             return "whole"
