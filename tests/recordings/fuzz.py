@@ -14,7 +14,9 @@ from collections import Counter
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from .trial import KINDS, TRIED, Case, Change, Court, Outcome, kind_of_failure, smallest
+from .changes import KINDS, Change
+from .court import Court, kind_of_failure, smallest
+from .trial import TRIED, Case, Outcome
 
 FARTHEST = 1 << 16
 """Beyond the longest of the files: places are taken modulo their length."""

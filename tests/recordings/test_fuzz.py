@@ -6,9 +6,11 @@ from collections.abc import Iterator
 
 import pytest
 from hypothesis import given, seed, settings
+from recordings.changes import TEXTS, Change
+from recordings.court import Court
 from recordings.formats import FORMATS
 from recordings.fuzz import QUIET, cases_of
-from recordings.trial import TEXTS, TRIED, Case, Change, Court
+from recordings.trial import TRIED, Case
 
 CASES = 10
 """Of each format; `python -m tests.recordings.fuzz` tries thousands."""
