@@ -6,15 +6,24 @@ from collections.abc import Iterator
 
 import pytest
 from hypothesis import given, seed, settings
+from recordings.changes import TEXTS, Change
+from recordings.court import Court
 from recordings.formats import FORMATS
 from recordings.fuzz import QUIET, cases_of
-from recordings.trial import TEXTS, TRIED, Case, Change, Court
+from recordings.trial import TRIED, Case
 
 CASES = 10
 """Of each format; `python -m tests.recordings.fuzz` tries thousands."""
 
 MOST_OF_A_CHUNK = 100 << 20
 """What a small recording may take to read [byte]."""
+
+FOUND = [
+    Case("db3 killed in folder", 0, (Change("byte", 4095, 0, 0x84),)),  # no UTF-8 in what sqlite3 says of it
+    Case("db3 unknown type", 0, (Change("zero", 5074, 33, 0),)),  # a pose that is no turn is compared
+    Case("mcap unchunked", 0, (Change("text", 10641, 0, 106),)),  # a pose that is beyond all numbers is compared
+]
+"""Rare ones among many thousands."""
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +50,12 @@ def test_changed_recordings_are_read_or_refused(name: str, court: Court) -> None
         assert outcome.word != "failed", outcome.reason
 
     each()
+
+
+@pytest.mark.parametrize("case", FOUND, ids=str)
+def test_cases_that_once_ended_in_a_traceback(case: Case, court: Court) -> None:
+    outcome = court.judge(case)
+    assert outcome.word != "failed", outcome.reason
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
