@@ -111,7 +111,7 @@ def chunk_records(body: bytes) -> bytes:
         if name not in _COMPRESSIONS:
             raise Damaged(f"a chunk compressed as {name.decode(errors='replace')!r}, allowed: zstd, lz4")
         try:
-            data = inflated(data, _COMPRESSIONS[name])
+            data = inflated(data, _COMPRESSIONS[name], size)
         except PackingError as error:
             raise Damaged(f"a broken chunk: {error}") from None
     if len(data) != size:

@@ -25,6 +25,8 @@ PACKED: tuple[Kind, ...] = ("zstd", "lz4", "gzip")
 """Kinds that hold another, compressed. No message in CDR begins as one of them does."""
 _BLOCK = 1 << 14
 """Compressed bytes that are unpacked at once: of a damaged file, so many are lost before the damage [byte]."""
+_SLICE = 1 << 10
+"""Compressed bytes of a chunk that are unpacked before it is asked how many they became [byte]."""
 
 
 class PackingError(Exception):
@@ -88,16 +90,22 @@ def stored(path: Path, scratch: Scratch) -> Stored:
     return Stored(path, inside, held, damage)
 
 
-def inflated(data: bytes, kind: Kind) -> bytes:
-    """The bytes that are compressed in others. Raises PackingError where these are not whole."""
-    parts = []
+def inflated(data: bytes, kind: Kind, most: int | None = None) -> bytes:
+    """The bytes that are compressed in others. Raises PackingError where these are not whole, or more than `most`."""
+    parts: list[bytes] = []
+    at = size = 0
     engine: Any = None
-    while data:
+    while at < len(data):
         engine = engine or _engine(kind)
-        parts.append(_fed(engine, data, kind))
-        if not engine.eof:
-            raise PackingError(f"{kind} data that is cut off")
-        data, engine = engine.unused_data or b"", None
+        block = data[at : at + _SLICE]
+        parts.append(_fed(engine, block, kind))
+        at, size = at + len(block), size + len(parts[-1])
+        if most is not None and size > most:
+            raise PackingError(f"{kind} data of more than the {most} bytes that it should have")
+        if engine.eof:
+            at, engine = at - len(engine.unused_data or b""), None
+    if engine is not None:
+        raise PackingError(f"{kind} data that is cut off")
     return b"".join(parts)
 
 

@@ -60,6 +60,7 @@ KINDS = {
 }
 
 
+@np.errstate(all="ignore")  # numbers of recordings may be any: what is none is infinitely far away
 def apart_by(one: Value, low: Value, high: Value, share: float, i: int, turn: bool) -> Floats:
     """(n,) distances of part i of `one` from what lies between `low` and `high`; inf where there is none."""
     a, b, c = one.parts[i], low.parts[i], high.parts[i]
@@ -77,6 +78,7 @@ def apart_by(one: Value, low: Value, high: Value, share: float, i: int, turn: bo
     return np.where(np.isnan(apart), np.inf, apart)
 
 
+@np.errstate(all="ignore")
 def largest_of(part: Floats, turn: bool) -> float:
     """Length of the longest row; of a turn its angle from the identity [rad]."""
     if turn:

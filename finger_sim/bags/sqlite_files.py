@@ -23,6 +23,8 @@ from ..errors import BagError
 from .message import Message, Numbers, Source, Topic, plain_message, topics_of
 from .packing import PackingError, Scratch, Stored
 
+BROKEN = (sqlite3.Error, UnicodeDecodeError)
+"""What sqlite3 raises on a damaged file; the second where damaged bytes stand in its words on that."""
 LOGS = ("-wal", "-journal")
 """Endings of the files beside a database that hold what is not in it yet, or what was before."""
 _COPIES = 5
@@ -120,9 +122,11 @@ class SqliteSource(Source):
         numbers: dict[tuple[str, str, int], Numbers] = {}
         for file in self.files:
             cut = _cut_off(file.stored.path)
+            if cut:
+                file.stored = _whole_pages(file.stored, scratch)
             try:
                 self._scan(file, numbers)
-            except (sqlite3.Error, BagError) as error:
+            except (*BROKEN, BagError) as error:
                 file.damage.append(str(error) if isinstance(error, BagError) else f"cannot be read by sqlite3: {error}")
                 if len(self.files) == 1:
                     raise BagError(f"{file.stored.name}: {'; '.join([*cut, *file.damage])}") from None
@@ -155,7 +159,7 @@ class SqliteSource(Source):
     def messages(self) -> Iterator[Message]:
         try:
             yield from heapq.merge(*map(self._of_file, self.files), key=lambda message: message.log_time)
-        except (OSError, sqlite3.Error, PackingError, ValueError) as error:
+        except (OSError, *BROKEN, PackingError, ValueError) as error:
             raise BagError(f"{self.files[0].stored.name.parent}: changed while it was read: {error}") from None
 
     def _of_file(self, file: _Database) -> Iterator[Message]:
@@ -177,6 +181,17 @@ def _cut_off(path: Path) -> list[str]:
     there, page, pages = path.stat().st_size, int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
     whole = (1 << 16 if page == 1 else page) * pages
     return [f"cut off at byte {there} of {whole}"] if there < whole else []
+
+
+def _whole_pages(file: Stored, scratch: Scratch) -> Stored:
+    """A copy without the part of a page at its end: sqlite3 would read zeros behind it."""
+    copy = scratch.place(file.path.name)
+    shutil.copyfile(file.path, copy)
+    with copy.open("r+b") as stream:
+        page = int.from_bytes(stream.read(18)[16:], "big")
+        size = copy.stat().st_size
+        stream.truncate(size - size % (1 << 16 if page == 1 else page))
+    return file._replace(path=copy)
 
 
 def _topics(connection: sqlite3.Connection) -> list[tuple[int, str, str, str]]:
@@ -203,7 +218,7 @@ def _rows(connection: sqlite3.Connection, damage: list[str]) -> Iterator[_Row]:
                     damage.append(f"messages between rows {last} and {row[0]} cannot be read: {reason}")
                 last, step = row[0], 0
                 yield _Row(*row)
-        except (sqlite3.Error, MemoryError, OverflowError) as error:
+        except (*BROKEN, MemoryError, OverflowError) as error:
             reason = str(error) or type(error).__name__
             step = 2 * step or 1
             if last + step < 2**62:
@@ -219,7 +234,7 @@ def _settled(file: Stored, scratch: Scratch) -> Stored:
     try:
         logs = [log for log in logs if log.is_file() and log.stat().st_size]
         return _merged(file, logs, scratch) if logs else file
-    except (OSError, sqlite3.Error) as error:
+    except (OSError, *BROKEN) as error:
         reason = getattr(error, "strerror", None) or error
         raise BagError(f"{file.name}: its log {logs[0].name} cannot be merged (see TMPDIR): {reason}") from None
 

@@ -197,3 +197,6 @@ CONTENTS: dict[str, Callable[[], Content]] = {
         two_types, no_commands, empty,
     )
 }  # fmt: skip
+
+NUMBERED = ("several_publishers", "numbers_mixed", "numbers_missing")
+"""Contents that are special only where messages are numbered."""

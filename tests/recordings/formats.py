@@ -174,7 +174,8 @@ def tables(schema: int) -> str:
 def add_topics(database: sqlite3.Connection, format: Format, content: Content) -> dict[tuple[str, str], int]:
     """The rows of topics and definitions; returns the ids by name and type."""
     schema = format.schema
-    database.executescript(tables(schema))
+    database.execute("PRAGMA synchronous=OFF")
+    database.executescript(f"BEGIN;{tables(schema)}COMMIT;")
     ids = {topic: number for number, topic in enumerate(content.topics, start=1)}
     for (name, type), number in ids.items():
         row = [number, name, type, "cdr", QOS if name == COMMANDS else "", ""][: 4 + (schema >= 2) + (schema >= 4)]
@@ -225,7 +226,7 @@ def metadata(format: Format, content: Content, files: Sequence[Path], parts: Seq
     """What a recorder that ended well says of its recording, in the words of the version that wrote it."""
     version = {2: 4, 3: 5, 4: 9}[format.schema]
     counts = Counter((m.topic, m.type) for m in content.put)
-    qos: Any = yaml.safe_load(QOS) if version >= 9 else QOS
+    qos: Any = yaml.load(QOS, yaml.CSafeLoader) if version >= 9 else QOS
     topics = [
         {
             "topic_metadata": {"name": name, "type": type_name, "serialization_format": "cdr"}
@@ -261,12 +262,12 @@ def _times(put: Sequence[Put]) -> dict[str, Any]:
 
 
 def write_metadata(folder: Path, information: dict[str, Any]) -> None:
-    text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
+    text = yaml.dump({"rosbag2_bagfile_information": information}, Dumper=yaml.CSafeDumper, sort_keys=False)
     (folder / "metadata.yaml").write_text(text, encoding="utf-8")
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:
     """The bag information that a test changes."""
-    content = yaml.safe_load((folder / "metadata.yaml").read_text(encoding="utf-8"))
+    content = yaml.load((folder / "metadata.yaml").read_bytes(), yaml.CSafeLoader)
     information: dict[str, Any] = content["rosbag2_bagfile_information"]
     return information

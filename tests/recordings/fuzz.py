@@ -1,7 +1,8 @@
 """Thousands of recordings with changed bytes: `python -m tests.recordings.fuzz --cases 20000` prints figures.
 
-Each is read whole, read with a warning, or refused with a clear error. Anything else is a failure, and printed in its
-smallest form; the exit code is then 1.
+Each is read whole, read with a warning or a note, or refused with a clear error. Where no checksum covers the bytes
+that changed, it may be read unnoticed. Anything else is a failure, and printed in its smallest form; the exit code is
+then 1.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from collections import Counter
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from .trial import KINDS, TRIED, Case, Change, Court, Outcome, kind_of_failure, smallest
+from .changes import KINDS, Change
+from .court import Court, kind_of_failure, smallest
+from .trial import TRIED, Case, Outcome
 
 FARTHEST = 1 << 16
 """Beyond the longest of the files: places are taken modulo their length."""
@@ -33,18 +36,16 @@ def cases_of(format: str) -> st.SearchStrategy[Case]:
     return st.builds(Case, format=st.just(format), file=st.integers(0, 3), changes=some)
 
 
-QUIET = settings(
-    database=None, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True, print_blob=False
-)
+QUIET = settings(database=None, deadline=None, suppress_health_check=list(HealthCheck), print_blob=False)
 
 
 def run(count: int, number: int, court: Court) -> list[tuple[Case, Outcome]]:
     """That many cases and their outcomes, as many of each format."""
     tried: list[tuple[Case, Outcome]] = []
-    for format in sorted(TRIED):
+    for place, format in enumerate(sorted(TRIED)):
 
-        @seed(number)
-        @settings(QUIET, max_examples=-(-count // len(TRIED)), derandomize=False, phases=[Phase.generate])
+        @seed(number * len(TRIED) + place)
+        @settings(QUIET, max_examples=-(-count // len(TRIED)), phases=[Phase.generate])
         @given(cases_of(format))
         def each(case: Case) -> None:
             tried.append((case, court.judge(case)))

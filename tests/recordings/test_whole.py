@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from recordings.content import COMMANDS, CONTENTS, START, Content, plain, two_types
+from recordings.content import COMMANDS, CONTENTS, NUMBERED, START, Content, plain, two_types
 from recordings.formats import FORMATS, Recording, read_metadata, write, write_metadata
 from recordings.judges import assert_commands, assert_explained, judges, read, seen
 
@@ -21,8 +21,15 @@ def made(name: str, content: Content, folder: Path) -> Recording:
     return write(FORMATS[name], folder, content)
 
 
-@pytest.mark.parametrize("content", CONTENTS)
-@pytest.mark.parametrize("name", [name for name in FORMATS if name not in WITHOUT_PROMISE])
+PAIRS = [
+    (name, content)
+    for name, format in FORMATS.items()
+    for content in CONTENTS
+    if name not in WITHOUT_PROMISE and (format.storage == "mcap" or content not in NUMBERED)
+]
+
+
+@pytest.mark.parametrize(("name", "content"), PAIRS)
 def test_read_as_written(name: str, content: str, tmp_path: Path) -> None:
     """By us and by all who can: the same messages, ours in the order of time, and no warning."""
     recording = made(name, CONTENTS[content](), tmp_path)
