@@ -9,8 +9,10 @@ from typing import NamedTuple
 from ..errors import BagError
 from ..scene import Pose
 from . import cdr
+from .bag import BagReader
+from .choice import command_topic, plane_topic
+from .message import Message
 from .poses import PoseRow, pose_row, usual_frame
-from .reader import BagReader, Message, command_topic, plane_topic
 
 
 class Received(NamedTuple):
@@ -67,8 +69,8 @@ class Excerpt:
         return replace(self, begin=begin, end=end, held=held)
 
     def messages(self) -> Iterator[Message]:
-        """All messages of poses as they were recorded, refused ones too, in the order of their receipt."""
-        return (message for _, message in self._selected() if message.type == cdr.POSE_STAMPED)
+        """All its poses as they were recorded, refused ones too, in the order of their receipt."""
+        return (message for _, message in self._selected())
 
     def poses(self) -> Iterator[Received]:
         """The good ones."""
@@ -103,7 +105,7 @@ class Excerpt:
         """The messages in the window, with their numbers on the topic."""
         if self.held is not None:
             yield self.held
-        for number, message in enumerate(self.reader.messages([self.topic]), start=1):
+        for number, message in enumerate(self.reader.messages([self.topic], cdr.POSE_STAMPED), start=1):
             if self.end is not None and message.log_time > self.end:
                 return
             if self.begin is None or message.log_time > self.begin:
@@ -136,7 +138,8 @@ def commands_in(reader: BagReader, topic: str | None = None, frame_id: str | Non
     chosen = command_topic(reader, topic)
     where = f"{reader.path}: topic {chosen}"
     if frame_id is None:
-        rows = (pose_row(number, message) for number, message in enumerate(reader.messages([chosen]), start=1))
+        messages = reader.messages([chosen], cdr.POSE_STAMPED)
+        rows = (pose_row(number, message) for number, message in enumerate(messages, start=1))
         frame_id = usual_frame(where, rows)
     commands = Excerpt(reader, chosen, frame_id)
     tally = commands.tally()

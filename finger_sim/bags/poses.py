@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from ..errors import BagError, SceneError
 from ..scene import Pose, checked_pose
-from .cdr import POSE_STAMPED
 from .message import Message
 from .template import STAMP_OFFSET
 
@@ -87,9 +86,7 @@ class PoseRow(NamedTuple):
 
 
 def pose_row(number: int, message: Message) -> PoseRow:
-    """A recorded message. One of another type is refused: a subscriber to poses does not hear it."""
-    if message.type != POSE_STAMPED:
-        return PoseRow(number, message, f"is {message.type}, not {POSE_STAMPED}")
+    """A recorded pose."""
     try:
         return PoseRow(number, message, read_pose(message.data))
     except ValueError as error:

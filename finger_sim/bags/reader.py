@@ -6,7 +6,7 @@ it. Times are integer nanoseconds: `log_time` is when a message was received, `p
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from ..errors import BagError
 from ..scene import Pose
 from . import cdr
+from .bag import BagReader
+from .choice import command_topic, plane_topic
 from .gaps import Gap, gaps_in, require_allowed
 from .interrupts import deferred
 from .message import Message, Topic
 from .metadata import Qos
 from .poses import PoseRow, pose_row, usual_frame
-from .sources import Opened
 from .writer import FLUSH_PERIOD, BagWriter, Compression, absolute, require_absent
 
 __all__ = [
@@ -74,59 +75,6 @@ def write_commands(
             bag.discard()
             raise
     return path
-
-
-class BagReader:
-    """Reads a rosbag2 folder, or one of its files: MCAP or sqlite3, compressed or not, told by its content.
-
-    A bag that was cut off or damaged is read as far as it can be: `truncated` and `warning` then say what is missing.
-    Raises BagError when there is nothing, or nothing of ROS 2, to read.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        opened = Opened(self.path)
-        self._source = opened.source
-        self.topics = self._source.topics
-        self.start_time = self._source.start
-        """Log time of the first message that can be read [ns]; None for an empty bag."""
-        self.end_time = self._source.end
-        self.warning = "; ".join(self._source.warnings) or None
-        """What cannot be read, and why."""
-        self.truncated = self.warning is not None
-        self.notes = tuple(opened.notes)
-        """Where its metadata.yaml is wrong, though no message is missing."""
-        self.cut = opened.cut
-        """Why its writer ended it early, where it said so; all of such a bag can be read."""
-        self.foreign = self._source.foreign
-        """Encodings of messages that are not read, by their topic's name and type."""
-        self.origin = self._source.origin
-        """Words on what made it, for `bags.origin`; empty where it says nothing."""
-
-    @property
-    def duration(self) -> float:
-        """Time from the first to the last message [s]; 0 for an empty bag."""
-        if self.start_time is None or self.end_time is None:
-            return 0.0
-        return (self.end_time - self.start_time) * 1e-9
-
-    @property
-    def message_count(self) -> int:
-        """Messages on all topics."""
-        return sum(topic.count for topic in self.topics)
-
-    def messages(self, topics: Collection[str] | None = None, type: str | None = None) -> Iterator[Message]:
-        """Messages in the order of log time (equal times: as in the file), of all topics or those named.
-
-        type : of the messages; left out: whatever type
-        """
-        wanted = None if topics is None else {absolute(topic) for topic in topics}
-        for message in self._source.messages():
-            if (wanted is None or absolute(message.topic) in wanted) and type in (None, message.type):
-                yield message
-
-    def __iter__(self) -> Iterator[Message]:
-        return self.messages()
 
 
 @dataclass(frozen=True)
@@ -266,8 +214,9 @@ def plane_poses_of(reader: BagReader, commands: Commands, topic: str | None = No
 
 
 def _rows(reader: BagReader, topic: str) -> list[PoseRow]:
-    """All messages of a topic."""
-    return [pose_row(number, message) for number, message in enumerate(reader.messages([topic]), start=1)]
+    """All its messages of poses: a subscriber hears no others."""
+    messages = reader.messages([topic], cdr.POSE_STAMPED)
+    return [pose_row(number, message) for number, message in enumerate(messages, start=1)]
 
 
 class _Good(NamedTuple):
@@ -304,61 +253,3 @@ def _arrays(good: Sequence[_Good]) -> tuple[NDArray[np.float64], NDArray[np.floa
     """Positions (n, 3) and unit quaternions (n, 4)."""
     position = np.array([each.pose.position for each in good]).reshape(-1, 3)
     return position, np.array([each.pose.orientation for each in good]).reshape(-1, 4)
-
-
-def command_topic(reader: BagReader, topic: str | None) -> str:
-    """Name of the topic with the commands."""
-    if topic is not None:
-        return _named_topic(reader, topic)
-    poses = [name for name in _pose_topics(reader) if not name.endswith("/plane_pose")]
-    commands = [name for name in poses if name.endswith("/command_pose")]
-    if "/command_pose" in commands:
-        return "/command_pose"
-    candidates = commands or poses
-    if len(candidates) == 1:
-        return candidates[0]
-    if not candidates:
-        cut = f"; {reader.warning}" if reader.warning else ""
-        raise BagError(f"{reader.path}: no topic of type {cdr.POSE_STAMPED}; found {_found(reader)}{cut}")
-    several = ", ".join(candidates)
-    raise BagError(f"{reader.path}: several topics of poses: {several}; choose one with --topic")
-
-
-def plane_topic(reader: BagReader, commands: str, topic: str | None) -> str | None:
-    """Name of the topic with the plane's poses, beside the one with the commands; None if there is none."""
-    if topic is not None:
-        name = _named_topic(reader, topic)
-        if name == commands:
-            raise BagError(f"{reader.path}: topic {name} cannot hold both the commands and the plane's poses")
-        return name
-    candidates = [name for name in _pose_topics(reader, counted=True) if name.endswith("/plane_pose")]
-    candidates = [name for name in candidates if name != commands]
-    beside = f"{commands.rpartition('/')[0]}/plane_pose"
-    if beside in candidates:
-        return beside
-    if len(candidates) > 1:
-        several = ", ".join(candidates)
-        raise BagError(f"{reader.path}: several topics of the plane's poses: {several}; choose one with --plane-topic")
-    return candidates[0] if candidates else None
-
-
-def _named_topic(reader: BagReader, topic: str) -> str:
-    """The absolute name of a topic of poses that was asked for."""
-    name = absolute(topic)
-    types = [each.type for each in reader.topics if absolute(each.name) == name]
-    if not types:
-        raise BagError(f"{reader.path}: no topic {name}; found {_found(reader)}")
-    if cdr.POSE_STAMPED not in types:
-        raise BagError(f"{reader.path}: topic {name} is {types[0]}, allowed: {cdr.POSE_STAMPED}")
-    return name
-
-
-def _pose_topics(reader: BagReader, *, counted: bool = False) -> list[str]:
-    """Names of topics of poses, each once; `counted`: of those with messages."""
-    poses = (topic for topic in reader.topics if topic.type == cdr.POSE_STAMPED and (topic.count or not counted))
-    return list(dict.fromkeys(absolute(topic.name) for topic in poses))
-
-
-def _found(reader: BagReader) -> str:
-    """What topics there are."""
-    return ", ".join(f"{absolute(topic.name)} ({topic.type})" for topic in reader.topics) or "no topic"

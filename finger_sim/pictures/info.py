@@ -12,9 +12,10 @@ import numpy as np
 from rich.table import Table
 
 from ..bags.changes import changes_in
+from ..bags.choice import command_topic
 from ..bags.course import Course, doubts, figures, rows
 from ..bags.origin import SHOWN_DIGITS, read_origin
-from ..bags.reader import BagReader, absolute, command_topic, commands_of
+from ..bags.reader import BagReader, absolute, commands_of
 from ..console import table
 from ..errors import BagError, FingerSimError
 from ..physics.locking import STIFF_BULK, STRAINS

@@ -95,7 +95,7 @@ def test_bytes_behind_the_end_and_either_order_are_read() -> None:
 
 
 def test_messages_of_another_type_are_not_heard(tmp_path: Path) -> None:
-    """As a subscriber does not hear them: refused with their type, not copied; the topic is found all the same."""
+    """As a subscriber does not hear them: neither refused nor copied; the topic is found all the same."""
     with (tmp_path / "bag.mcap").open("wb") as stream:
         writer = Writer(stream)
         writer.start("ros2")
@@ -106,6 +106,5 @@ def test_messages_of_another_type_are_not_heard(tmp_path: Path) -> None:
         writer.finish()
     reader = BagReader(tmp_path / "bag.mcap")
     excerpt, tally = commands_in(reader, "command_pose")
-    assert (tally.good, tally.refused) == (1, 2)
-    assert tally.refusal == "message 1: is geometry_msgs/msg/Pose, not geometry_msgs/msg/PoseStamped"
+    assert (tally.good, tally.refused) == (1, 0)
     assert [message.log_time for message in excerpt.messages()] == [START + 1]

@@ -27,16 +27,17 @@ material: {young: 5.0e4, poisson: 0.4}
 plane: {friction: 0.5}
 dt: 0.005
 """
-HOUR = 3_600_000_000_000
-"""[ns]"""
+HOUR, OFTEN = 3_600_000_000_000, 50_000_000_000
+"""[ns]; commands come often enough that no gap is told."""
 
 
 @pytest.fixture
 def here(tmp_path: Path) -> Path:
     """A folder with a scene, and commands that it takes minutes to follow."""
     (tmp_path / "block.yaml").write_text(SCENE)
-    position = np.array([[0.0, 0.0, -0.0003], [0.0, 0.0, -0.0002]])
-    write_commands(tmp_path / "long", [10**18, 10**18 + HOUR], position, np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
+    times = range(10**18, 10**18 + HOUR + 1, OFTEN)
+    position = np.array([[0.0, 0.0, -0.0003 + 0.0001 * (k % 2)] for k in range(len(times))])
+    write_commands(tmp_path / "long", times, position, np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1)))
     return tmp_path
 
 
