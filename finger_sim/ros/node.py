@@ -48,7 +48,7 @@ from .loop import Loop, RateLoop, StepCounts, TriggeredLoop, prefer_this_thread
 from .messages import time_of
 from .options import NodeOptions
 from .outputs import Outputs
-from .process import flush, process_age, set_up
+from .process import flush, logged, process_age, set_up
 from .recorder import RecordedTopic, Recorder
 from .rosout import Rosout
 from .stepper import Stepper
@@ -333,7 +333,7 @@ def _main(args: list[str] | None) -> int:
         signal.signal(number, lambda *_: stop.set())
     try:
         rclpy_private.require()
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=logged(args), signal_handler_options=SignalHandlerOptions.NO)
         node = FingerNode(sys.argv[1:] if args is None else args)
     except (FingerSimError, ParameterException, RuntimeError) as error:
         print(f"finger_node: {error}", file=sys.stderr)

@@ -19,6 +19,7 @@ from ..bags.reader import Commands
 from ..bags.template import doubles
 from ..errors import FingerSimError
 from .messages import pose_template
+from .process import logged
 
 SUBSCRIBER_TIMEOUT = 10.0
 """How long a subscriber is waited for [s]."""
@@ -51,7 +52,7 @@ class Played:
 def ros_node(name: str, domain: int | None = None) -> Iterator[Any]:
     """A node in a context of its own, in `domain` or the environment's; signals are left to Python."""
     context = rclpy.Context()
-    rclpy.init(args=[], context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(args=logged([]), context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
     try:
         quiet = {"enable_rosout": False, "use_global_arguments": False, "start_parameter_services": False}
         node = rclpy.create_node(name, context=context, **quiet)

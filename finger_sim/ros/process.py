@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 TRANSPORTS = "UDPv4"
@@ -20,6 +22,21 @@ def set_up() -> None:
     """Makes this process one in which a loop keeps its time."""
     sys.setswitchinterval(SWITCH_INTERVAL)
     os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", TRANSPORTS)
+
+
+def logged(arguments: Sequence[str] | None) -> list[str]:
+    """Arguments for rclpy.init, None standing for this process's own. Where ROS could not write its log files, which
+    would end the process, they say that it is to write none; stderr tells."""
+    given = list(sys.argv if arguments is None else arguments)
+    home = Path(os.environ.get("ROS_HOME") or Path(os.environ.get("HOME", "/")) / ".ros")
+    folder = Path(os.environ.get("ROS_LOG_DIR") or home / "log").expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        print(f"warning: ROS writes no log file: {folder}: {error.strerror}; see ROS_LOG_DIR", file=sys.stderr)
+        return [*given, "--ros-args", "--disable-external-lib-logs"]
+    return given
 
 
 def process_age() -> float:

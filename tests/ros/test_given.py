@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -99,3 +100,14 @@ def test_the_node_says_so_when_it_starts(tmp_path: Path) -> None:
         assert node.end() == 0
     assert "[WARN]" in node.output
     assert f"{file} reaches nothing: it is for /finger, this node is /hand; write /hand or /** there" in node.output
+
+
+def test_a_node_runs_where_nothing_can_be_written(tmp_path: Path) -> None:
+    """ROS would end it for want of a log file. Its kernels come from where they are kept."""
+    kept = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    nowhere = {"HOME": "/proc/none", "ROS_HOME": "", "ROS_LOG_DIR": "", "XDG_CACHE_HOME": kept}
+    with NodeProcess(tmp_path / "log", "-p", f"scene:={write_block(tmp_path)}", changes=nowhere) as node:
+        node.wait_for("ready after")
+        assert node.end() == 0
+    assert "warning: ROS writes no log file: /proc/none/.ros/log: No such file or directory" in node.output
+    assert "Traceback" not in node.output
