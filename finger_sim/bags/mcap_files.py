@@ -131,7 +131,8 @@ class _File:
         if more := self.gaps[NAMED_GAPS:]:
             said.append(f"{len(more)} more damaged places")
         if self.unpackable:
-            said.append(f"{len(self.unpackable)} messages cannot be unpacked, the first for {self.unpackable[0]}")
+            count = f"{len(self.unpackable)} message{'s' * (len(self.unpackable) > 1)}"
+            said.append(f"{count} cannot be unpacked: {self.unpackable[0]}")
         if self.damage:
             said.append(self.damage)
         return (f"{self.stored.name}: {text}" for text in said)

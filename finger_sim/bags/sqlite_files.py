@@ -73,7 +73,8 @@ class _Database:
                 self.times.append(row.time)
                 self.keys.append(row.topic)
         if broken:
-            self.damage.append(f"{len(broken)} messages cannot be read, the first at {broken[0]}")
+            count = f"{len(broken)} message{'s' * (len(broken) > 1)}"
+            self.damage.append(f"{count} cannot be read: {broken[0]}")
 
     def _fault(self, row: _Row) -> str | None:
         """Why a row is no message; None where it is one."""

@@ -55,11 +55,12 @@ def _mesh(path: Path) -> Iterator[tuple[str, Table]]:
 
 def _bag(path: Path) -> Iterator[tuple[str, Table]]:
     reader = BagReader(path)
+    lost = [topic.lost for topic in reader.topics if topic.lost is not None]
     facts = {
         "duration": f"{reader.duration:.3f} s",
         "messages": str(reader.message_count),
         "whole": f"no: {reader.warning or reader.cut}" if reader.warning or reader.cut else "yes",
-        "numbers missing": str(sum(topic.lost or 0 for topic in reader.topics)),
+        "numbers missing": str(sum(lost)) if lost else "not known: there are none, or of several writers",
     }
     about = _pairs(facts | _origin(reader))
     for (name, kind), encoding in reader.foreign.items():
