@@ -266,7 +266,7 @@ def test_a_lost_message_fails_the_demo(done, tmp_path, monkeypatch, gone, counte
     [
         (("--scene", "nowhere"), "nowhere"),
         (("--scene", "broken.yaml"), "material.young: got -1"),
-        (("--scene", "meshless.yaml"), "no node set 'bone'"),
+        (("--scene", "meshless.yaml"), "no node set is named 'bone'"),
         (("--bag", "nowhere"), "nowhere"),
         (("--bag", "broken.yaml"), "not an MCAP file"),
         (("--rate", "1e9"), "rate: got 1000000000.0, allowed: a number in [10, 1e+06] Hz"),
