@@ -25,6 +25,7 @@ from .mcap_records import (
     chunk_records,
     chunk_times,
     data_is_whole,
+    has_checksums,
     read_head,
     read_header,
     read_summary,
@@ -90,6 +91,8 @@ class _File:
     """Why messages could not be unpacked."""
     damage: str = ""
     """What is wrong with its end."""
+    summed: bool = False
+    """Whether its chunks have checksums."""
 
     @cached_property
     def summary(self) -> Summary:
@@ -180,6 +183,8 @@ class McapSource(Source):
             raise NoHeaderError(f"{file.stored.name}: is empty")
         with file.stored.path.open("rb") as stream:
             offset = read_header(stream, file.stored.name)
+            file.summed = has_checksums(stream, offset, size)
+            stream.seek(offset)
             while True:
                 try:
                     opcode, length = read_head(stream, size - offset)
@@ -293,7 +298,7 @@ class McapSource(Source):
         stream.seek(segment.offset)
         data = stream.read(segment.size)
         if segment.chunked:
-            data = chunk_records(data[RECORD.size :])
+            data = chunk_records(data[RECORD.size :], file.summed)
         messages = []
         offset = 0
         try:

@@ -95,8 +95,30 @@ def chunk_times(body: bytes) -> tuple[int, int] | None:
     return (start, end) if 0 < start <= end else None
 
 
-def chunk_records(body: bytes) -> bytes:
-    """The records in a chunk record, unpacked. Raises Damaged where they are not what was written."""
+def has_checksums(stream: BinaryIO, offset: int, size: int) -> bool:
+    """Whether any chunk from that offset on has a checksum: one without is not what was written then."""
+    try:
+        while True:
+            stream.seek(offset)
+            opcode, length = read_head(stream, size - offset)
+            if opcode == Opcode.DATA_END:
+                return False
+            if opcode == Opcode.CHUNK and _checksum(stream.read(min(length, _CHUNK.size))):
+                return True
+            offset += RECORD.size + length
+    except Damaged:
+        return False
+
+
+def _checksum(head: bytes) -> int:
+    return int.from_bytes(head[24:28], "little")
+
+
+def chunk_records(body: bytes, summed: bool) -> bytes:
+    """The records in a chunk record, unpacked. Raises Damaged where they are not what was written.
+
+    summed : whether chunks of the file have checksums
+    """
     try:
         _, _, size, checksum, letters = _CHUNK.unpack_from(body)
         name = body[_CHUNK.size : _CHUNK.size + letters]
@@ -116,7 +138,7 @@ def chunk_records(body: bytes) -> bytes:
             raise Damaged(f"a broken chunk: {error}") from None
     if len(data) != size:
         raise Damaged("a broken chunk: its size does not fit")
-    if checksum and zlib.crc32(data) != checksum:
+    if (checksum or summed) and zlib.crc32(data) != checksum:
         raise Damaged("a chunk with a wrong checksum")
     return data
 

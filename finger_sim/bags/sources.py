@@ -61,8 +61,8 @@ class Opened:
     def _compare(self, information: dict[str, Any]) -> None:
         """Notes where the metadata says something else than the messages; messages that are missing are a warning."""
         source = self.source
-        said, found = information.get("message_count"), sum(topic.count for topic in source.topics)
-        if isinstance(said, int) and said > found and not source.foreign:
+        said, found = _messages(information), sum(topic.count for topic in source.topics)
+        if isinstance(said, int) and said > found:
             source.warnings.append(f"metadata.yaml tells of {said} messages, {found} can be read")
         elif isinstance(said, int) and said < found:
             self.notes.append(f"metadata.yaml tells of {said} messages, there are {found}")
@@ -77,6 +77,17 @@ class Opened:
             if isinstance(told, int) and abs(told - there) > _CLOSE_ENOUGH:
                 what = key.replace("_", " ")
                 self.notes.append(f"metadata.yaml tells of a {what} of {1e-9 * told:.3f} s, it is {1e-9 * there:.3f} s")
+
+
+def _messages(information: dict[str, Any]) -> Any:
+    """How many messages of ROS 2 a metadata.yaml tells of."""
+    said = information.get("message_count")
+    try:
+        topics = information["topics_with_message_count"]
+        others = [each for each in topics if each["topic_metadata"]["serialization_format"] != "cdr"]
+        return said - sum(each["message_count"] for each in others)
+    except (TypeError, KeyError):
+        return said
 
 
 def _source(path: Path, information: dict[str, Any]) -> Source:
