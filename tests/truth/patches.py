@@ -3,14 +3,13 @@
     `freedoms`  joined until each patch has a vertex' worth of freedoms; the best for its cost by measurement
     `stars`     cut from the stars of vertices, of about `size` tetrahedra
     `faces`     grown over common facets, as compact as can be, of about `size`
-    `owned`     one a free vertex, each of which owns a part of its star, as even as can be
 
 As ν nears ½ each volume strain becomes a constraint, and a free node has three freedoms. Three freedoms a constraint
 are the continuum's. A patch that has few free nodes, or shares them with many patches, takes from them what they need
 to deform: a patch with one free node holds that node.
 
-Every tetrahedron is in one patch. The tetrahedra of a patch hang together over facets; in `stars` and `owned`, and
-where leftovers joined a neighbour, over vertices. The same mesh gives the same patches. `held` (n,) tells the driven
+Every tetrahedron is in one patch. The tetrahedra of a patch hang together over facets; in `stars`, and where
+leftovers joined a neighbour, over vertices. The same mesh gives the same patches. `held` (n,) tells the driven
 nodes. A tetrahedron without a free node is a patch of its own: it does not deform, and in another patch its volume
 would only dilute the volume strain.
 """
@@ -96,7 +95,7 @@ class _Merging:
         return min((p for p in self.beside[patch] if len(self.members[p]) <= room), key=cost, default=None)
 
     def join(self, patch: int, other: int) -> set[int]:
-        """Make one of the two, under the first's number. Patches whose share or neighbours changed."""
+        """Make one of the two, under the first's number. The patches whose share that changed."""
         self.label[self.members[other]] = patch
         self.members[patch] += self.members.pop(other)
         touched = {patch}
@@ -110,7 +109,7 @@ class _Merging:
             if third != patch:
                 self.beside[third].add(patch)
                 self.beside[patch].add(third)
-        return touched | self.beside[patch]
+        return touched
 
 
 def freedoms(tets: Ints, held: Flags, wanted: float = 1.25, size: int = 8, largest: int = 16) -> Ints:
@@ -224,44 +223,3 @@ def faces(tets: Ints, held: Flags, size: int = 4) -> Ints:
         part.give(members)
         left.difference_update(members)
     return part.joined(int(np.ceil(SMALLEST * size)))
-
-
-def owned(tets: Ints, held: Flags) -> Ints:
-    """A patch a free vertex: each tetrahedron is given to the one of its free vertices that has the fewest.
-
-    Then tetrahedra move on along chains of vertices, as long as that makes two patches more even.
-    """
-    part = _Partition(tets, held)
-    free = {tet: [v for v in part.tets[tet].tolist() if not held[v]] for tet in np.flatnonzero(~part.rigid).tolist()}
-    owner: dict[int, int] = {}
-    has: dict[int, set[int]] = {v: set() for nodes in free.values() for v in nodes}
-    for tet in sorted(free, key=lambda tet: (len(free[tet]), tet)):
-        owner[tet] = min(free[tet], key=lambda v: (len(has[v]), v))
-        has[owner[tet]].add(tet)
-
-    def evened(node: int) -> bool:
-        """Move one tetrahedron from a vertex to the neediest that it reaches."""
-        over = {node: -1}  # the tetrahedron over which each vertex is reached
-        queue = [node]
-        for at in queue:
-            for tet in sorted(has[at]):
-                for other in free[tet]:
-                    if other not in over:
-                        over[other] = tet
-                        queue.append(other)
-        end = min(over, key=lambda v: (len(has[v]), v))
-        if len(has[end]) > len(has[node]) - 2:
-            return False
-        while end != node:
-            tet = over[end]
-            has[owner[tet]].remove(tet)
-            has[end].add(tet)
-            owner[tet], end = end, owner[tet]
-        return True
-
-    while sum(evened(node) for node in sorted(has, key=lambda v: (-len(has[v]), v))):
-        pass
-    for node in sorted(has):
-        if has[node]:
-            part.give(sorted(has[node]))
-    return part.joined(2)

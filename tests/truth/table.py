@@ -25,7 +25,6 @@ WAYS: dict[str, Callable[[Ints, Flags], Ints | None]] = {
     "element": lambda tets, driven: None,
     "stars of 4": lambda tets, driven: patches.stars(tets, driven, 4),
     "faces of 4": lambda tets, driven: patches.faces(tets, driven, 4),
-    "owned": patches.owned,
     "stars of 8": lambda tets, driven: patches.stars(tets, driven, 8),
     "faces of 8": lambda tets, driven: patches.faces(tets, driven, 8),
     "freedoms 1": lambda tets, driven: patches.freedoms(tets, driven, 1.0),

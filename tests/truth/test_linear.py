@@ -112,6 +112,9 @@ def test_a_bar_is_pulled_by_e_a() -> None:
         assert linear.force(bar, poisson, patch) == pytest.approx(expected, rel=1e-9)
         assert quadratic.force(bar, poisson) == pytest.approx(expected, rel=1e-6)
     nodes, given = bar.prescribed()
+    where = points[nodes] == 0.0
+    assert (given[where] == 0.0).all()
+    assert (np.isfinite(given) == where | (points[nodes] == [length, -1.0, -1.0])).all()
     forces, u = linear.reaction(linear.stiffness(points, tets, YOUNG, 0.45, patch), nodes, given)
     assert (forces[np.isnan(given)] == 0.0).all()
     assert_allclose(u[nodes][np.isfinite(given)], given[np.isfinite(given)])

@@ -29,9 +29,8 @@ def shared(tets: Ints, at_least: int) -> np.ndarray:
         (patches.stars, 1, 2, 8),
         (lambda tets, driven: patches.stars(tets, driven, 8), 1, 4, 16),
         (patches.faces, 1, 2, 8),
-        (patches.owned, 1, 2, 12),
     ],
-    ids=["freedoms", "stars", "stars of 8", "faces", "owned"],
+    ids=["freedoms", "stars", "stars of 8", "faces"],
 )
 def test_partition(problem: Problem, way: Callable[..., Ints], nodes: int, smallest: int, largest: int) -> None:
     """Each tetrahedron is in one patch of the promised size and of one piece, which hangs together over so many nodes.
