@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parent
-WITHOUT_KERNELS = ("bags", "recordings", "scene")
+WITHOUT_KERNELS = ("bags", "recordings", "scene", "truth")
 """Folders whose tests need no compiled kernels: they run while the first node compiles them."""
 MIDDLE = "test_p"
 """Files of `ros` before it take as long as those after it."""
