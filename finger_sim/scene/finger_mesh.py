@@ -1,0 +1,249 @@
+"""The parametric finger in tets: the soft part alone, between the skin and the surface of the bones.
+
+One half is meshed by gmsh, at z >= 0, between two spline surfaces; its nodes are then put on skin and bone exactly.
+Edges that would leave a single layer of tets between pad and bone, or a tet without a free node, are cut in two, and
+nodes are moved until no angle is narrow. The half is then mirrored. Lengths are millimetres; the mesh is in metres.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Floats
+from ..errors import MeshError
+from .finger_shape import BONE, BONE_TIP, CUT, DISTAL_CUT, SKIN, Surface, in_nail, in_pad
+from .gmsh_session import gmsh_session, tetrahedra
+from .mesh import FACES, TetMesh
+from .mesh_improvement import Indices, cut_edges, edges_of, narrowest, widened
+
+Mask = NDArray[np.bool_]
+
+FINGER_TETS, FEWEST_TETS = 1000, 450
+FEWEST_DISTAL_TETS = 350
+TETS_TOLERANCE = 0.05  # largest relative difference between the tets asked for and those made
+MIN_DIHEDRAL = math.radians(12.0)  # of a finger as generated
+AIM_DIHEDRAL = math.radians(18.0)  # of one that is taken without looking for a better one
+_WIDENED = math.radians(20.0)  # nodes of tets with narrower angles are moved
+_NUDGES = sorted(np.arange(-12, 13) * 0.006, key=abs)  # changes of size that are tried; at most 8 % of size
+_ROUNDS = 6  # times that edges are cut; two are usual
+
+# Where a press is felt, x and z [mm] about its middle, and y below: tets are finest there.
+_FINEST_X, _FINEST_HALF_X, _FINEST_Y, _FINEST_HALF_Z = 3.0, 5.0, -5.2, 5.0
+_GROWTH, _GROWTH_OF_FEW = 0.2, 0.25  # of the edge length, for each mm away, over the finest
+_FEW = 750  # tets: with less, they are spent nearer to the pad
+_LONGEST = 8.5  # edge, over the root of the finest [mm^0.5]: far away, a mesh of half the size is refined by less
+
+_OF_BONE_TIP = 1.6  # edge length over the bone's very tip, over the finest
+_BONE_TIP, _AT_BONE_TIP = (BONE_TIP, -0.6, 0.0), 2.5  # and the longest beside it [mm]: the bone is 3 mm thick there
+
+_FILLED_FROM, _FILLED_FROM_DISTAL = 1500, 900  # tets from which Netgen fills the inside; fewer are best spent on skin
+_GMSH = {
+    "Mesh.Algorithm": 1,  # MeshAdapt, which alone copes with a coarse bone tip
+    "Mesh.Algorithm3D": 1,  # Delaunay
+}
+_POLES_ACROSS = 25
+_POLES_APART = 1.5  # along the shaft [mm]: the bones' waists are 10 mm long
+_POLES_OF_CAP = 15
+
+
+@dataclass(frozen=True)
+class _Half:
+    """The half at z >= 0: nodes (n, 3) [mm], tets (T, 4) in VTK's order, and which nodes lie on what, (n,)."""
+
+    points: Floats
+    tets: Indices
+    skin: Mask
+    bone: Mask
+    cut: Mask
+    middle: Mask  # z = 0
+
+    @property
+    def pad(self) -> Mask:
+        return self.skin & in_pad(self.points)
+
+    @property
+    def driven(self) -> Mask:
+        """Nodes of bone, cut face and nail: more than any scene drives."""
+        return self.bone | self.cut | (self.skin & in_nail(self.points))
+
+    def allowed(self, node: int, tried: Floats) -> Floats:
+        """Places for a node near those tried: on all surfaces that it lies on."""
+        places = tried.copy()
+        if self.middle[node]:
+            places[:, 2] = 0.0
+        if self.cut[node]:
+            places[:, 0] = self.points[node, 0]
+        if self.skin[node]:
+            places = SKIN.nearby(places)
+        if self.bone[node]:
+            places = BONE.nearby(places)
+        return places
+
+
+def finger(tets: int = FINGER_TETS, *, distal: bool = False) -> TetMesh:
+    """Last 7 cm of a finger, or with `distal` the last 28 mm, in about `tets` tets (within 5 %), finest in the pad.
+
+    The bones are a hole. Node sets: `base`, the cut face; `bone`, the surface of the bones and the cut face; `pad`,
+    what a plane can touch of the fingertip's palmar skin; `nail`, the skin below the nail plate; `bone_nail`, bone and
+    nail. The same gmsh makes the same mesh every time. Raises MissingExtraError without gmsh, MeshError when there is
+    no mesh of that many tets with every dihedral angle of 12 degrees or more.
+    """
+    fewest = FEWEST_DISTAL_TETS if distal else FEWEST_TETS
+    if int(tets) != tets or tets < fewest:
+        raise MeshError(f"finger tets: got {tets!r}, allowed: a whole number >= {fewest}")
+    cut = DISTAL_CUT if distal else CUT
+    growth = _GROWTH_OF_FEW if tets < _FEW else _GROWTH
+    options = _GMSH | {"Mesh.OptimizeNetgen": int(tets >= (_FILLED_FROM_DISTAL if distal else _FILLED_FROM))}
+    best, widest = None, MIN_DIHEDRAL
+    with gmsh_session(options) as gmsh:
+        size = 2.0 * (FINGER_TETS / tets) ** 0.4
+        for _ in range(4):
+            half = _half(gmsh, size, growth, cut)
+            size *= 0.99 if half is None else (2 * len(half.tets) / tets) ** 0.4
+        for nudge in _NUDGES:
+            half = _half(gmsh, size * (1.0 + nudge), growth, cut)
+            if half is None or abs(2 * len(half.tets) - tets) > TETS_TOLERANCE * tets or _edges_to_cut(half):
+                continue
+            angle = float(narrowest(half.points[half.tets]).min())
+            if angle >= widest:
+                best, widest = half, angle
+            if angle >= AIM_DIHEDRAL:
+                break
+    if best is None:
+        raise MeshError(f"finger tets: found no good mesh of {tets}; ask for another number")
+    return _mirrored(best)
+
+
+def _half(gmsh: Any, size: float, growth: float, cut: float) -> _Half | None:
+    """The improved half with edges of about `size` [mm] in the pad; None where gmsh cannot fill it at that size."""
+    try:
+        raw = _raw_half(gmsh, size, growth, cut)
+    except Exception:  # of no kind of its own: coarse triangles of two surfaces may pass through each other
+        return None
+    return _improved(raw) if len(raw.tets) else None
+
+
+def _mirrored(half: _Half) -> TetMesh:
+    """The whole finger with its node sets."""
+    beside = np.flatnonzero(half.points[:, 2] > 0.0)
+    image = np.arange(len(half.points))
+    image[beside] = len(image) + np.arange(len(beside))
+    x = np.concatenate([half.points, half.points[beside] * [1.0, 1.0, -1.0]])
+    tets = np.concatenate([half.tets, image[half.tets][:, [1, 0, 2, 3]]])
+    skin, bone, cut = (np.concatenate([on, on[beside]]) for on in (half.skin, half.bone, half.cut))
+    masks = {"base": cut, "bone": bone | cut, "pad": skin & in_pad(x), "nail": skin & in_nail(x)}
+    masks["bone_nail"] = masks["bone"] | masks["nail"]
+    return TetMesh.from_arrays(1e-3 * x, tets, {name: np.flatnonzero(mask) for name, mask in masks.items()})
+
+
+def _improved(raw: _Half) -> _Half:
+    """The half on its exact surfaces, with two layers in the pad, no tet without a free node, and wide angles."""
+    x = raw.points.copy()
+    x[raw.skin], x[raw.bone] = SKIN.nearby(x[raw.skin]), BONE.nearby(x[raw.bone])
+    half = replace(raw, points=x)
+    for _ in range(_ROUNDS):
+        half = replace(half, points=widened(half.points, half.tets, half.allowed, _WIDENED))
+        edges = _edges_to_cut(half)
+        if not edges:
+            break
+        points, tets, ends = cut_edges(half.points, half.tets, edges)
+        inside = np.zeros(len(ends), dtype=np.bool_)
+        cut, middle = (np.concatenate([on, on[ends].all(axis=1)]) for on in (half.cut, half.middle))
+        half = _Half(
+            points, tets, np.concatenate([half.skin, inside]), np.concatenate([half.bone, inside]), cut, middle
+        )
+    return half
+
+
+def _edges_to_cut(half: _Half) -> set[tuple[int, int]]:
+    """Edges from pad to bone, and the longest inner edge of each tet that has no free node."""
+    a, b = edges_of(half.tets).T
+    pad = half.pad
+    across = (pad[a] & half.bone[b]) | (pad[b] & half.bone[a])
+    edges = {(int(i), int(j)) for i, j in zip(a[across], b[across], strict=True)}
+    outer = _edges_of_surfaces(half)
+    for tet in half.tets[half.driven[half.tets].all(axis=1)].tolist():
+        inner = set(itertools.combinations(sorted(tet), 2)) - outer
+        if inner and not inner & edges:
+            edges.add(max(inner, key=lambda e: (float(np.linalg.norm(half.points[e[0]] - half.points[e[1]])), e)))
+    return edges
+
+
+def _edges_of_surfaces(half: _Half) -> set[tuple[int, int]]:
+    """Edges of the triangles on skin, bone and cut face."""
+    faces, count = np.unique(np.sort(half.tets[:, FACES].reshape(-1, 3), axis=1), axis=0, return_counts=True)
+    outer = faces[(count == 1) & ~half.middle[faces].all(axis=1)]
+    return {edge for face in outer.tolist() for edge in itertools.combinations(face, 2)}
+
+
+def _raw_half(gmsh: Any, size: float, growth: float, cut: float) -> _Half:
+    """What gmsh makes of the half, with edges of about `size` [mm] in the pad."""
+    gmsh.model.remove()
+    gmsh.model.add("finger_sim")
+    occ, mesh = gmsh.model.occ, gmsh.model.mesh
+    skin, bone = (_spline_surface(occ, surface, cut) for surface in (SKIN, BONE))
+    occ.synchronize()
+    skin_rim, skin_pad, skin_tip, skin_nail = _edges_around(gmsh, skin)
+    bone_rim, bone_pad, bone_tip, bone_nail = _edges_around(gmsh, bone)
+    ends = zip(_ends(gmsh, skin_rim), _ends(gmsh, bone_rim), strict=True)
+    pad_seam, nail_seam = (occ.addLine(*pair) for pair in ends)
+    face = occ.addPlaneSurface([occ.addCurveLoop([skin_rim, nail_seam, bone_rim, pad_seam])])
+    around = [skin_pad, skin_tip, skin_nail, nail_seam, bone_nail, bone_tip, bone_pad, pad_seam]
+    middle = occ.addPlaneSurface([occ.addCurveLoop(around)])
+    occ.addVolume([occ.addSurfaceLoop([skin, bone, face, middle])])
+    occ.synchronize()
+
+    # An even number of edges over the front puts a node on the very tip, of the finger as of the bone.
+    for front, length in ((skin_tip, 1.15 * size), (bone_tip, _OF_BONE_TIP * size)):
+        mesh.setTransfiniteCurve(front, 1 + 2 * math.ceil(0.5 * occ.getMass(1, front) / length))
+    mesh.setSizeCallback(lambda dim, tag, x, y, z, given: _edge_length(size, growth, x, y, z))
+    mesh.generate(3)
+    points, tets, (on_skin, on_bone, on_face, on_middle) = tetrahedra(gmsh, (skin, bone, face, middle))
+    points[on_middle, 2], points[on_face, 0] = 0.0, cut
+    return _Half(points, tets, on_skin, on_bone, on_face, on_middle)
+
+
+def _edge_length(size: float, growth: float, x: float, y: float, z: float) -> float:
+    """Edge length at a place [mm]: `size` where a press is felt, more by `growth` of it for each mm away from there."""
+    away = math.sqrt(
+        max(0.0, abs(x - _FINEST_X) - _FINEST_HALF_X) ** 2
+        + max(0.0, y - _FINEST_Y) ** 2
+        + max(0.0, abs(z) - _FINEST_HALF_Z) ** 2
+    )
+    from_bone_tip = math.dist((x, y, z), _BONE_TIP)
+    return min(size * (1.0 + growth * away), _LONGEST * math.sqrt(size), _AT_BONE_TIP + 0.4 * from_bone_tip)
+
+
+def _spline_surface(occ: Any, surface: Surface, cut: float) -> int:
+    """Half of a surface as one spline; a hair inside of it where it is round."""
+    of_shaft = 1 + math.ceil((surface.cap - cut) / _POLES_APART)
+    along = np.concatenate([np.linspace(-1.0, 0.0, of_shaft)[:-1], np.linspace(0.0, 1.0, _POLES_OF_CAP)])
+    across = np.linspace(-1.0, 1.0, _POLES_ACROSS)
+    grid = surface.grid(along[:, None], across[None, :], cut)
+    poles = [occ.addPoint(*grid[i, j]) for j in range(len(across)) for i in range(len(along))]
+    tag: int = occ.addBSplineSurface(poles, len(along))
+    occ.remove([(0, pole) for pole in poles])
+    return tag
+
+
+def _edges_around(gmsh: Any, surface: int) -> tuple[int, int, int, int]:
+    """Its four edges: the rim of the cut face; those of pad, tip and nail side in the plane z = 0."""
+    centres = {
+        edge: gmsh.model.occ.getCenterOfMass(1, edge)
+        for _, edge in gmsh.model.getBoundary([(2, surface)], oriented=False)
+    }
+    rim, *sides, tip = sorted(centres, key=lambda edge: float(centres[edge][0]))
+    pad, nail = sorted(sides, key=lambda edge: float(centres[edge][1]))
+    return rim, pad, tip, nail
+
+
+def _ends(gmsh: Any, edge: int) -> list[int]:
+    """Points at the ends of an edge, the lower one first."""
+    points = [point for _, point in gmsh.model.getBoundary([(1, edge)], oriented=False)]
+    return sorted(points, key=lambda point: float(gmsh.model.getValue(0, point, [])[1]))
