@@ -25,19 +25,21 @@ from .mesh_improvement import Indices, cut_edges, edges_of, narrowest, widened
 Mask = NDArray[np.bool_]
 
 FINGER_TETS, FEWEST_TETS = 1000, 450
-FEWEST_DISTAL_TETS = 350
 TETS_TOLERANCE = 0.05  # largest relative difference between the tets asked for and those made
 MIN_DIHEDRAL = math.radians(12.0)  # of a finger as generated
 AIM_DIHEDRAL = math.radians(18.0)  # of one that is taken without looking for a better one
 _WIDENED = math.radians(20.0)  # nodes of tets with narrower angles are moved
-_NUDGES = sorted(np.arange(-12, 13) * 0.006, key=abs)  # changes of size that are tried; at most 8 % of size
+_NUDGES = sorted(np.arange(-20, 21) * 0.008, key=abs)  # changes of size that are tried, nearest first
 _ROUNDS = 6  # times that edges are cut; two are usual
 
 # Where a press is felt, x and z [mm] about its middle, and y below: tets are finest there.
 _FINEST_X, _FINEST_HALF_X, _FINEST_Y, _FINEST_HALF_Z = 3.0, 5.0, -5.2, 5.0
 _GROWTH, _GROWTH_OF_FEW = 0.2, 0.25  # of the edge length, for each mm away, over the finest
 _FEW = 750  # tets: with less, they are spent nearer to the pad
-_LONGEST = 8.5  # edge, over the root of the finest [mm^0.5]: far away, a mesh of half the size is refined by less
+_LONGEST = 12.0  # edge [mm]: a fifth of the way around the skin
+_LONGEST_OF_FINE = (
+    8.5  # edge, over the root of the finest [mm^0.5]: far away, a mesh of half the size is refined by less
+)
 
 _OF_BONE_TIP = 1.6  # edge length over the bone's very tip, over the finest
 _BONE_TIP, _AT_BONE_TIP = (BONE_TIP, -0.6, 0.0), 2.5  # and the longest beside it [mm]: the bone is 3 mm thick there
@@ -94,9 +96,8 @@ def finger(tets: int = FINGER_TETS, *, distal: bool = False) -> TetMesh:
     nail. The same gmsh makes the same mesh every time. Raises MissingExtraError without gmsh, MeshError when there is
     no mesh of that many tets with every dihedral angle of 12 degrees or more.
     """
-    fewest = FEWEST_DISTAL_TETS if distal else FEWEST_TETS
-    if int(tets) != tets or tets < fewest:
-        raise MeshError(f"finger tets: got {tets!r}, allowed: a whole number >= {fewest}")
+    if not tets >= FEWEST_TETS or int(tets) != tets:
+        raise MeshError(f"finger tets: got {tets!r}, allowed: a whole number >= {FEWEST_TETS}")
     cut = DISTAL_CUT if distal else CUT
     growth = _GROWTH_OF_FEW if tets < _FEW else _GROWTH
     options = _GMSH | {"Mesh.OptimizeNetgen": int(tets >= (_FILLED_FROM_DISTAL if distal else _FILLED_FROM))}
@@ -146,19 +147,44 @@ def _improved(raw: _Half) -> _Half:
     """The half on its exact surfaces, with two layers in the pad, no tet without a free node, and wide angles."""
     x = raw.points.copy()
     x[raw.skin], x[raw.bone] = SKIN.nearby(x[raw.skin]), BONE.nearby(x[raw.bone])
-    half = replace(raw, points=x)
+    half = _opened(replace(raw, points=x))
     for _ in range(_ROUNDS):
         half = replace(half, points=widened(half.points, half.tets, half.allowed, _WIDENED))
         edges = _edges_to_cut(half)
         if not edges:
             break
-        points, tets, ends = cut_edges(half.points, half.tets, edges)
-        inside = np.zeros(len(ends), dtype=np.bool_)
-        cut, middle = (np.concatenate([on, on[ends].all(axis=1)]) for on in (half.cut, half.middle))
-        half = _Half(
-            points, tets, np.concatenate([half.skin, inside]), np.concatenate([half.bone, inside]), cut, middle
-        )
+        half = _cut(half, edges)
     return half
+
+
+def _cut(half: _Half, edges: set[tuple[int, int]]) -> _Half:
+    """The half with inner edges cut in two; a new node lies in a plane where both ends do, on no surface."""
+    points, tets, ends = cut_edges(half.points, half.tets, edges)
+    inside = np.zeros(len(ends), dtype=np.bool_)
+    skin, bone = (np.concatenate([on, inside]) for on in (half.skin, half.bone))
+    cut, middle = (np.concatenate([on, on[ends].all(axis=1)]) for on in (half.cut, half.middle))
+    return _Half(points, tets, skin, bone, cut, middle)
+
+
+def _opened(half: _Half) -> _Half:
+    """The half with a node at the side wherever one edge goes from below to above through the bone, or the finger.
+
+    Such an edge lies in the plane z = 0, where the other half has it too: skin or bone would be without breadth there.
+    """
+    through = {
+        (a, b)
+        for a, b in _edges_of_surfaces(half) - _edges_of_middle(half)
+        if half.middle[[a, b]].all() and (half.skin[[a, b]].all() or half.bone[[a, b]].all())
+    }
+    if not through:
+        return half
+    out = _cut(half, through)
+    for node, ends in enumerate(sorted(through), start=len(half.points)):
+        surface, on = (BONE, out.bone) if half.bone[list(ends)].all() else (SKIN, out.skin)
+        middle, _, half_breadth = surface.section(out.points[node, 0])
+        out.points[node, 1:] = middle, half_breadth
+        on[node], out.middle[node] = True, False
+    return out
 
 
 def _edges_to_cut(half: _Half) -> set[tuple[int, int]]:
@@ -177,9 +203,24 @@ def _edges_to_cut(half: _Half) -> set[tuple[int, int]]:
 
 def _edges_of_surfaces(half: _Half) -> set[tuple[int, int]]:
     """Edges of the triangles on skin, bone and cut face."""
+    faces = _outer_faces(half)
+    return _sides(faces[~half.middle[faces].all(axis=1)])
+
+
+def _edges_of_middle(half: _Half) -> set[tuple[int, int]]:
+    """Edges of the triangles in the plane z = 0."""
+    faces = _outer_faces(half)
+    return _sides(faces[half.middle[faces].all(axis=1)])
+
+
+def _outer_faces(half: _Half) -> Indices:
     faces, count = np.unique(np.sort(half.tets[:, FACES].reshape(-1, 3), axis=1), axis=0, return_counts=True)
-    outer = faces[(count == 1) & ~half.middle[faces].all(axis=1)]
-    return {edge for face in outer.tolist() for edge in itertools.combinations(face, 2)}
+    outer: Indices = faces[count == 1]
+    return outer
+
+
+def _sides(faces: Indices) -> set[tuple[int, int]]:
+    return {edge for face in faces.tolist() for edge in itertools.combinations(face, 2)}
 
 
 def _raw_half(gmsh: Any, size: float, growth: float, cut: float) -> _Half:
@@ -217,7 +258,8 @@ def _edge_length(size: float, growth: float, x: float, y: float, z: float) -> fl
         + max(0.0, abs(z) - _FINEST_HALF_Z) ** 2
     )
     from_bone_tip = math.dist((x, y, z), _BONE_TIP)
-    return min(size * (1.0 + growth * away), _LONGEST * math.sqrt(size), _AT_BONE_TIP + 0.4 * from_bone_tip)
+    longest = min(_LONGEST, _LONGEST_OF_FINE * math.sqrt(size))
+    return min(size * (1.0 + growth * away), longest, _AT_BONE_TIP + 0.4 * from_bone_tip)
 
 
 def _spline_surface(occ: Any, surface: Surface, cut: float) -> int:

@@ -31,6 +31,7 @@ PAD_FROM = DIP + 3.0  # x beyond the crease of the joint [mm]
 PAD_HEIGHT = 3.0  # a plane that is pressed in by so much touches the pad and no more [mm]
 NAIL_FROM, NAIL_TO = -2.0, 9.5  # x of the nail plate [mm]
 NAIL_BREADTH = 0.8  # of the plate, over that of the finger
+NAIL_HEIGHT = 0.55  # of its lowest place over the middle of the finger, over half the depth: not the front of the tip
 
 # Skin: x, y of the pad side, y of the nail side, half breadth [mm].
 _SKIN = np.array(
@@ -171,7 +172,7 @@ def in_pad(points: ArrayLike) -> NDArray[np.bool_]:
 def in_nail(points: ArrayLike) -> NDArray[np.bool_]:
     """Which of `points` of the skin (n, 3) [mm] are of the nail plate, (n,)."""
     x, y, z = np.asarray(points, dtype=np.float64).T
-    middle, _, half_breadth = _skin_section(x)
+    middle, half_depth, half_breadth = _skin_section(x)
     plate = (x >= NAIL_FROM) & (x <= NAIL_TO) & (np.abs(z) <= NAIL_BREADTH * half_breadth)
-    nail: NDArray[np.bool_] = plate & (y > middle)
+    nail: NDArray[np.bool_] = plate & (y >= middle + NAIL_HEIGHT * half_depth)
     return nail

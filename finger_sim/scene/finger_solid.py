@@ -36,7 +36,7 @@ def solid_finger(tets: int = SOLID_TETS) -> TetMesh:
     gmsh makes the same mesh every time. Raises MissingExtraError without gmsh, MeshError when no mesh of that
     many tets has every dihedral angle of 15 degrees or more.
     """
-    if int(tets) != tets or tets < FEWEST_TETS:
+    if not tets >= FEWEST_TETS or int(tets) != tets:
         raise MeshError(f"finger tets: got {tets!r}, allowed: a whole number >= {FEWEST_TETS}")
     with gmsh_session(_GMSH) as gmsh:
         size = 4.0 * (SOLID_TETS / tets) ** 0.4
