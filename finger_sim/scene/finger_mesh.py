@@ -37,14 +37,12 @@ _FINEST_X, _FINEST_HALF_X, _FINEST_Y, _FINEST_HALF_Z = 3.0, 5.0, -5.2, 5.0
 _GROWTH, _GROWTH_OF_FEW = 0.2, 0.25  # of the edge length, for each mm away, over the finest
 _FEW = 750  # tets: with less, they are spent nearer to the pad
 _LONGEST = 12.0  # edge [mm]: a fifth of the way around the skin
-_LONGEST_OF_FINE = (
-    8.5  # edge, over the root of the finest [mm^0.5]: far away, a mesh of half the size is refined by less
-)
+_LONGEST_TO_ROOT = 8.5  # longest edge over the root of the finest [mm^0.5]: far away, refining gains less
 
 _OF_BONE_TIP = 1.6  # edge length over the bone's very tip, over the finest
 _BONE_TIP, _AT_BONE_TIP = (BONE_TIP, -0.6, 0.0), 2.5  # and the longest beside it [mm]: the bone is 3 mm thick there
 
-_FILLED_FROM, _FILLED_FROM_DISTAL = 1500, 900  # tets from which Netgen fills the inside; fewer are best spent on skin
+_FILLED_FROM, _FILLED_FROM_DISTAL = 1500, 900  # tets from which Netgen fills the inside; fewer serve better on the skin
 _GMSH = {
     "Mesh.Algorithm": 1,  # MeshAdapt, which alone copes with a coarse bone tip
     "Mesh.Algorithm3D": 1,  # Delaunay
@@ -109,7 +107,7 @@ def finger(tets: int = FINGER_TETS, *, distal: bool = False) -> TetMesh:
             size *= 0.99 if half is None else (2 * len(half.tets) / tets) ** 0.4
         for nudge in _NUDGES:
             half = _half(gmsh, size * (1.0 + nudge), growth, cut)
-            if half is None or abs(2 * len(half.tets) - tets) > TETS_TOLERANCE * tets or _edges_to_cut(half):
+            if half is None or abs(2 * len(half.tets) - tets) > TETS_TOLERANCE * tets or not _is_sound(half):
                 continue
             angle = float(narrowest(half.points[half.tets]).min())
             if angle >= widest:
@@ -123,11 +121,20 @@ def finger(tets: int = FINGER_TETS, *, distal: bool = False) -> TetMesh:
 
 def _half(gmsh: Any, size: float, growth: float, cut: float) -> _Half | None:
     """The improved half with edges of about `size` [mm] in the pad; None where gmsh cannot fill it at that size."""
+    skin, bone, face, middle = _surfaces(gmsh, size, cut)
+    gmsh.model.mesh.setSizeCallback(lambda dim, tag, x, y, z, given: _edge_length(size, growth, x, y, z))
     try:
-        raw = _raw_half(gmsh, size, growth, cut)
-    except Exception:  # of no kind of its own: coarse triangles of two surfaces may pass through each other
+        gmsh.model.mesh.generate(3)
+    except Exception:  # gmsh has no kind of its own: coarse triangles of two surfaces may pass through each other
         return None
-    return _improved(raw) if len(raw.tets) else None
+    points, tets, (on_skin, on_bone, on_face, on_middle) = tetrahedra(gmsh, (skin, bone, face, middle))
+    points[on_middle, 2], points[on_face, 0] = 0.0, cut
+    return _improved(_Half(points, tets, on_skin, on_bone, on_face, on_middle)) if len(tets) else None
+
+
+def _is_sound(half: _Half) -> bool:
+    """Whether each tet has a free node, pad and bone are two layers apart, and skin and bone have breadth."""
+    return not (half.driven[half.tets].all(axis=1).any() or _edges_to_cut(half) or _edges_through(half))
 
 
 def _mirrored(half: _Half) -> TetMesh:
@@ -167,17 +174,8 @@ def _cut(half: _Half, edges: set[tuple[int, int]]) -> _Half:
 
 
 def _opened(half: _Half) -> _Half:
-    """The half with a node at the side wherever one edge goes from below to above through the bone, or the finger.
-
-    Such an edge lies in the plane z = 0, where the other half has it too: skin or bone would be without breadth there.
-    """
-    through = {
-        (a, b)
-        for a, b in _edges_of_surfaces(half) - _edges_of_middle(half)
-        if half.middle[[a, b]].all() and (half.skin[[a, b]].all() or half.bone[[a, b]].all())
-    }
-    if not through:
-        return half
+    """The half with a node at the side wherever one edge goes through the bone, or the finger, in the plane z = 0."""
+    through = _edges_through(half)
     out = _cut(half, through)
     for node, ends in enumerate(sorted(through), start=len(half.points)):
         surface, on = (BONE, out.bone) if half.bone[list(ends)].all() else (SKIN, out.skin)
@@ -185,6 +183,18 @@ def _opened(half: _Half) -> _Half:
         out.points[node, 1:] = middle, half_breadth
         on[node], out.middle[node] = True, False
     return out
+
+
+def _edges_through(half: _Half) -> set[tuple[int, int]]:
+    """Edges of skin or bone that go from below to above, inside, in the plane z = 0.
+
+    The other half has them too, so that skin or bone is without breadth there.
+    """
+    return {
+        (a, b)
+        for a, b in _edges_of_surfaces(half) - _edges_of_middle(half)
+        if half.middle[[a, b]].all() and (half.skin[[a, b]].all() or half.bone[[a, b]].all())
+    }
 
 
 def _edges_to_cut(half: _Half) -> set[tuple[int, int]]:
@@ -223,8 +233,8 @@ def _sides(faces: Indices) -> set[tuple[int, int]]:
     return {edge for face in faces.tolist() for edge in itertools.combinations(face, 2)}
 
 
-def _raw_half(gmsh: Any, size: float, growth: float, cut: float) -> _Half:
-    """What gmsh makes of the half, with edges of about `size` [mm] in the pad."""
+def _surfaces(gmsh: Any, size: float, cut: float) -> tuple[int, int, int, int]:
+    """A new model of the half: its skin, bone, cut face and the face in z = 0; `size` of the edges in the pad [mm]."""
     gmsh.model.remove()
     gmsh.model.add("finger_sim")
     occ, mesh = gmsh.model.occ, gmsh.model.mesh
@@ -243,11 +253,7 @@ def _raw_half(gmsh: Any, size: float, growth: float, cut: float) -> _Half:
     # An even number of edges over the front puts a node on the very tip, of the finger as of the bone.
     for front, length in ((skin_tip, 1.15 * size), (bone_tip, _OF_BONE_TIP * size)):
         mesh.setTransfiniteCurve(front, 1 + 2 * math.ceil(0.5 * occ.getMass(1, front) / length))
-    mesh.setSizeCallback(lambda dim, tag, x, y, z, given: _edge_length(size, growth, x, y, z))
-    mesh.generate(3)
-    points, tets, (on_skin, on_bone, on_face, on_middle) = tetrahedra(gmsh, (skin, bone, face, middle))
-    points[on_middle, 2], points[on_face, 0] = 0.0, cut
-    return _Half(points, tets, on_skin, on_bone, on_face, on_middle)
+    return skin, bone, face, middle
 
 
 def _edge_length(size: float, growth: float, x: float, y: float, z: float) -> float:
@@ -258,7 +264,7 @@ def _edge_length(size: float, growth: float, x: float, y: float, z: float) -> fl
         + max(0.0, abs(z) - _FINEST_HALF_Z) ** 2
     )
     from_bone_tip = math.dist((x, y, z), _BONE_TIP)
-    longest = min(_LONGEST, _LONGEST_OF_FINE * math.sqrt(size))
+    longest = min(_LONGEST, _LONGEST_TO_ROOT * math.sqrt(size))
     return min(size * (1.0 + growth * away), longest, _AT_BONE_TIP + 0.4 * from_bone_tip)
 
 
