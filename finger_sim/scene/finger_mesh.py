@@ -39,14 +39,14 @@ _FEW = 750  # tets: with less, they are spent nearer to the pad
 _LONGEST = 12.0  # edge [mm]: a fifth of the way around the skin
 _LONGEST_TO_ROOT = 8.5  # longest edge over the root of the finest [mm^0.5]: far away, refining gains less
 
-_OF_BONE_TIP = 1.6  # edge length over the bone's very tip, over the finest
-_BONE_TIP, _AT_BONE_TIP = (BONE_TIP, -0.6, 0.0), 2.5  # and the longest beside it [mm]: the bone is 3 mm thick there
+_BONE_TIP, _AT_BONE_TIP = (BONE_TIP, -0.6, 0.0), 2.5  # longest edge at the bone's tip [mm], which is 3 mm thick
 
 _FILLED_FROM, _FILLED_FROM_DISTAL = 1500, 900  # tets from which Netgen fills the inside; fewer serve better on the skin
 _GMSH = {
     "Mesh.Algorithm": 1,  # MeshAdapt, which alone copes with a coarse bone tip
     "Mesh.Algorithm3D": 1,  # Delaunay
 }
+_FLAT = 1e-6  # z of the middle of an edge in z = 0 [mm]
 _POLES_ACROSS = 25
 _POLES_APART = 1.5  # along the shaft [mm]: the bones' waists are 10 mm long
 _POLES_OF_CAP = 15
@@ -121,20 +121,23 @@ def finger(tets: int = FINGER_TETS, *, distal: bool = False) -> TetMesh:
 
 def _half(gmsh: Any, size: float, growth: float, cut: float) -> _Half | None:
     """The improved half with edges of about `size` [mm] in the pad; None where gmsh cannot fill it at that size."""
-    skin, bone, face, middle = _surfaces(gmsh, size, cut)
+    surfaces = _surfaces(gmsh, size, cut)
     gmsh.model.mesh.setSizeCallback(lambda dim, tag, x, y, z, given: _edge_length(size, growth, x, y, z))
     try:
         gmsh.model.mesh.generate(3)
     except Exception:  # gmsh has no kind of its own: coarse triangles of two surfaces may pass through each other
         return None
-    points, tets, (on_skin, on_bone, on_face, on_middle) = tetrahedra(gmsh, (skin, bone, face, middle))
-    points[on_middle, 2], points[on_face, 0] = 0.0, cut
-    return _improved(_Half(points, tets, on_skin, on_bone, on_face, on_middle)) if len(tets) else None
+    points, tets, (skin, bone, face, middle) = tetrahedra(gmsh, surfaces)
+    if len(tets) == 0:
+        return None
+    points[middle, 2], points[face, 0] = 0.0, cut
+    points[skin], points[bone] = SKIN.nearby(points[skin]), BONE.nearby(points[bone])
+    return _improved(_Half(points, tets, skin, bone, face, middle))
 
 
 def _is_sound(half: _Half) -> bool:
-    """Whether each tet has a free node, pad and bone are two layers apart, and skin and bone have breadth."""
-    return not (half.driven[half.tets].all(axis=1).any() or _edges_to_cut(half) or _edges_through(half))
+    """Whether each tet has a free node, and pad and bone are two layers apart."""
+    return not (half.driven[half.tets].all(axis=1).any() or _edges_to_cut(half))
 
 
 def _mirrored(half: _Half) -> TetMesh:
@@ -150,11 +153,8 @@ def _mirrored(half: _Half) -> TetMesh:
     return TetMesh.from_arrays(1e-3 * x, tets, {name: np.flatnonzero(mask) for name, mask in masks.items()})
 
 
-def _improved(raw: _Half) -> _Half:
-    """The half on its exact surfaces, with two layers in the pad, no tet without a free node, and wide angles."""
-    x = raw.points.copy()
-    x[raw.skin], x[raw.bone] = SKIN.nearby(x[raw.skin]), BONE.nearby(x[raw.bone])
-    half = _opened(replace(raw, points=x))
+def _improved(half: _Half) -> _Half:
+    """The half with two layers in the pad, no tet without a free node, and wide angles."""
     for _ in range(_ROUNDS):
         half = replace(half, points=widened(half.points, half.tets, half.allowed, _WIDENED))
         edges = _edges_to_cut(half)
@@ -173,30 +173,6 @@ def _cut(half: _Half, edges: set[tuple[int, int]]) -> _Half:
     return _Half(points, tets, skin, bone, cut, middle)
 
 
-def _opened(half: _Half) -> _Half:
-    """The half with a node at the side wherever one edge goes through the bone, or the finger, in the plane z = 0."""
-    through = _edges_through(half)
-    out = _cut(half, through)
-    for node, ends in enumerate(sorted(through), start=len(half.points)):
-        surface, on = (BONE, out.bone) if half.bone[list(ends)].all() else (SKIN, out.skin)
-        middle, _, half_breadth = surface.section(out.points[node, 0])
-        out.points[node, 1:] = middle, half_breadth
-        on[node], out.middle[node] = True, False
-    return out
-
-
-def _edges_through(half: _Half) -> set[tuple[int, int]]:
-    """Edges of skin or bone that go from below to above, inside, in the plane z = 0.
-
-    The other half has them too, so that skin or bone is without breadth there.
-    """
-    return {
-        (a, b)
-        for a, b in _edges_of_surfaces(half) - _edges_of_middle(half)
-        if half.middle[[a, b]].all() and (half.skin[[a, b]].all() or half.bone[[a, b]].all())
-    }
-
-
 def _edges_to_cut(half: _Half) -> set[tuple[int, int]]:
     """Edges from pad to bone, and the longest inner edge of each tet that has no free node."""
     a, b = edges_of(half.tets).T
@@ -213,47 +189,38 @@ def _edges_to_cut(half: _Half) -> set[tuple[int, int]]:
 
 def _edges_of_surfaces(half: _Half) -> set[tuple[int, int]]:
     """Edges of the triangles on skin, bone and cut face."""
-    faces = _outer_faces(half)
-    return _sides(faces[~half.middle[faces].all(axis=1)])
-
-
-def _edges_of_middle(half: _Half) -> set[tuple[int, int]]:
-    """Edges of the triangles in the plane z = 0."""
-    faces = _outer_faces(half)
-    return _sides(faces[half.middle[faces].all(axis=1)])
-
-
-def _outer_faces(half: _Half) -> Indices:
     faces, count = np.unique(np.sort(half.tets[:, FACES].reshape(-1, 3), axis=1), axis=0, return_counts=True)
-    outer: Indices = faces[count == 1]
-    return outer
+    outer = faces[(count == 1) & ~half.middle[faces].all(axis=1)]
+    return {edge for face in outer.tolist() for edge in itertools.combinations(face, 2)}
 
 
-def _sides(faces: Indices) -> set[tuple[int, int]]:
-    return {edge for face in faces.tolist() for edge in itertools.combinations(face, 2)}
+def _surfaces(gmsh: Any, size: float, cut: float) -> tuple[tuple[int, ...], ...]:
+    """A new model of the half: its skin, bone, cut face and the face in z = 0; `size` of the edges in the pad [mm].
 
-
-def _surfaces(gmsh: Any, size: float, cut: float) -> tuple[int, int, int, int]:
-    """A new model of the half: its skin, bone, cut face and the face in z = 0; `size` of the edges in the pad [mm]."""
+    The bone is in two parts, below and above its side: on one part, a coarse mesh would have edges from below to above
+    that lie in z = 0, where the other half has them too, and the bone would be closed there.
+    """
     gmsh.model.remove()
     gmsh.model.add("finger_sim")
     occ, mesh = gmsh.model.occ, gmsh.model.mesh
-    skin, bone = (_spline_surface(occ, surface, cut) for surface in (SKIN, BONE))
+    skin = _spline_surface(occ, SKIN, cut, -1.0, 1.0)
+    halves = [(2, _spline_surface(occ, BONE, cut, *part)) for part in ((-1.0, 0.0), (0.0, 1.0))]
+    (_, below), (_, above) = occ.fragment(halves[:1], halves[1:])[0]
     occ.synchronize()
-    skin_rim, skin_pad, skin_tip, skin_nail = _edges_around(gmsh, skin)
-    bone_rim, bone_pad, bone_tip, bone_nail = _edges_around(gmsh, bone)
-    ends = zip(_ends(gmsh, skin_rim), _ends(gmsh, bone_rim), strict=True)
-    pad_seam, nail_seam = (occ.addLine(*pair) for pair in ends)
-    face = occ.addPlaneSurface([occ.addCurveLoop([skin_rim, nail_seam, bone_rim, pad_seam])])
-    around = [skin_pad, skin_tip, skin_nail, nail_seam, bone_nail, bone_tip, bone_pad, pad_seam]
+    skin_rim, skin_tip, (skin_pad, skin_nail) = _edges_around(gmsh, skin)
+    rim_below, tip_below, (bone_pad,) = _edges_around(gmsh, below)
+    rim_above, tip_above, (bone_nail,) = _edges_around(gmsh, above)
+    (low, high), (bone_low, _), (_, bone_high) = (_ends(gmsh, rim) for rim in (skin_rim, rim_below, rim_above))
+    pad_seam, nail_seam = occ.addLine(low, bone_low), occ.addLine(high, bone_high)
+    face = occ.addPlaneSurface([occ.addCurveLoop([skin_rim, nail_seam, rim_above, rim_below, pad_seam])])
+    around = [skin_pad, skin_tip, skin_nail, nail_seam, bone_nail, tip_above, tip_below, bone_pad, pad_seam]
     middle = occ.addPlaneSurface([occ.addCurveLoop(around)])
-    occ.addVolume([occ.addSurfaceLoop([skin, bone, face, middle])])
+    occ.addVolume([occ.addSurfaceLoop([skin, below, above, face, middle])])
     occ.synchronize()
 
-    # An even number of edges over the front puts a node on the very tip, of the finger as of the bone.
-    for front, length in ((skin_tip, 1.15 * size), (bone_tip, _OF_BONE_TIP * size)):
-        mesh.setTransfiniteCurve(front, 1 + 2 * math.ceil(0.5 * occ.getMass(1, front) / length))
-    return skin, bone, face, middle
+    # An even number of edges over the front puts a node on the very tip.
+    mesh.setTransfiniteCurve(skin_tip, 1 + 2 * math.ceil(0.5 * occ.getMass(1, skin_tip) / (1.15 * size)))
+    return (skin,), (below, above), (face,), (middle,)
 
 
 def _edge_length(size: float, growth: float, x: float, y: float, z: float) -> float:
@@ -268,11 +235,11 @@ def _edge_length(size: float, growth: float, x: float, y: float, z: float) -> fl
     return min(size * (1.0 + growth * away), longest, _AT_BONE_TIP + 0.4 * from_bone_tip)
 
 
-def _spline_surface(occ: Any, surface: Surface, cut: float) -> int:
-    """Half of a surface as one spline; a hair inside of it where it is round."""
+def _spline_surface(occ: Any, surface: Surface, cut: float, low: float, high: float) -> int:
+    """Half of a surface, `low` to `high` across, as one spline; a hair inside of it where it is round."""
     of_shaft = 1 + math.ceil((surface.cap - cut) / _POLES_APART)
     along = np.concatenate([np.linspace(-1.0, 0.0, of_shaft)[:-1], np.linspace(0.0, 1.0, _POLES_OF_CAP)])
-    across = np.linspace(-1.0, 1.0, _POLES_ACROSS)
+    across = np.linspace(low, high, _POLES_ACROSS)
     grid = surface.grid(along[:, None], across[None, :], cut)
     poles = [occ.addPoint(*grid[i, j]) for j in range(len(across)) for i in range(len(along))]
     tag: int = occ.addBSplineSurface(poles, len(along))
@@ -280,15 +247,16 @@ def _spline_surface(occ: Any, surface: Surface, cut: float) -> int:
     return tag
 
 
-def _edges_around(gmsh: Any, surface: int) -> tuple[int, int, int, int]:
-    """Its four edges: the rim of the cut face; those of pad, tip and nail side in the plane z = 0."""
+def _edges_around(gmsh: Any, surface: int) -> tuple[int, int, list[int]]:
+    """Its edges: the rim of the cut face; in the plane z = 0, that of the tip, and those along it, the lower first."""
     centres = {
         edge: gmsh.model.occ.getCenterOfMass(1, edge)
         for _, edge in gmsh.model.getBoundary([(2, surface)], oriented=False)
     }
-    rim, *sides, tip = sorted(centres, key=lambda edge: float(centres[edge][0]))
-    pad, nail = sorted(sides, key=lambda edge: float(centres[edge][1]))
-    return rim, pad, tip, nail
+    rim = min(centres, key=lambda edge: float(centres[edge][0]))
+    flat = [edge for edge in centres if edge != rim and abs(centres[edge][2]) < _FLAT]
+    *sides, tip = sorted(flat, key=lambda edge: float(centres[edge][0]))
+    return rim, tip, sorted(sides, key=lambda edge: float(centres[edge][1]))
 
 
 def _ends(gmsh: Any, edge: int) -> list[int]:

@@ -51,16 +51,17 @@ def gmsh_session(options: Mapping[str, float]) -> Iterator[Any]:
             gmsh.finalize()
 
 
-def tetrahedra(gmsh: Any, surfaces: Sequence[int] = ()) -> tuple[Floats, Indices, list[NDArray[np.bool_]]]:
-    """Nodes (n, 3) and tets (T, 4) of the mesh of now, in VTK's order, and which nodes lie on each surface, (n,)."""
+def tetrahedra(gmsh: Any, surfaces: Sequence[Sequence[int]] = ()) -> tuple[Floats, Indices, list[NDArray[np.bool_]]]:
+    """Nodes (n, 3) and tets (T, 4) of the mesh of now, in VTK's order, and which nodes lie on groups of surfaces."""
     tags, flat, _ = gmsh.model.mesh.getNodes()
     _, nodes = gmsh.model.mesh.getElementsByType(_TETRA)
     order = np.argsort(tags)
     used, tets = np.unique(_found(tags, order, nodes), return_inverse=True)
     on = []
-    for surface in surfaces:
+    for group in surfaces:
         mask = np.zeros(len(tags), dtype=np.bool_)
-        mask[_found(tags, order, gmsh.model.mesh.getNodes(2, surface, includeBoundary=True)[0])] = True
+        for surface in group:
+            mask[_found(tags, order, gmsh.model.mesh.getNodes(2, surface, includeBoundary=True)[0])] = True
         on.append(mask[used])
     points = np.asarray(flat, dtype=np.float64).reshape(-1, 3)
     return points[used], tets.reshape(-1, 4), on
