@@ -11,15 +11,24 @@ from .common import DONE, positive, verb
 
 def add_mesh(verbs: Any) -> None:
     mesh = verb(verbs, "mesh", None, "make a mesh of a finger, a beam or a file", "finger_sim mesh beam -o beam.vtu")
-    kinds = mesh.add_subparsers(title="kinds", metavar="finger|beam|convert", required=True)
+    kinds = mesh.add_subparsers(title="kinds", metavar="finger|solid-finger|beam|convert", required=True)
     finger = verb(
         kinds,
         "finger",
         _mesh,
-        "a finger with its bones (needs the extra [mesh])",
+        "a finger without the inside of its bones (needs the extra [mesh])",
         "finger_sim mesh finger -o fine.vtu --tets 2000",
     )
-    finger.add_argument("--tets", type=int, metavar="N", help="about so many tetrahedra (default: 347)")
+    finger.add_argument("--tets", type=int, metavar="N", help="about so many tetrahedra (default: 1000)")
+    finger.add_argument("--distal", action="store_true", help="the last 28 mm alone: the fingertip")
+    solid = verb(
+        kinds,
+        "solid-finger",
+        _mesh,
+        "a finger with nodes in its bones, as the paper's pictures have it (needs the extra [mesh])",
+        "finger_sim mesh solid-finger -o solid.vtu --tets 347",
+    )
+    solid.add_argument("--tets", type=int, metavar="N", help="about so many tetrahedra (default: 347)")
     beam = verb(
         kinds,
         "beam",
@@ -45,7 +54,7 @@ def add_mesh(verbs: Any) -> None:
         metavar="FACTOR",
         help="of lengths; 0.001 for millimetres (default: 1)",
     )
-    for kind, name in ((finger, "finger"), (beam, "beam"), (convert, "convert")):
+    for kind, name in ((finger, "finger"), (solid, "solid-finger"), (beam, "beam"), (convert, "convert")):
         kind.set_defaults(kind=name)
         kind.add_argument("-o", "--out", type=Path, required=True, metavar="FILE.vtu", help="file to make")
         kind.add_argument("--force", action="store_true", help="overwrite the file")
@@ -55,7 +64,7 @@ def _mesh(options: argparse.Namespace) -> int:
     from ..scene.meshing import write_mesh
 
     _require_absent(options)
-    given = {name: getattr(options, name, None) for name in ("tets", "size", "cells")}
+    given = {name: getattr(options, name, None) for name in ("tets", "distal", "size", "cells")}
     asked = {name: value for name, value in given.items() if value is not None}
     write_mesh(options.kind, options.out, **asked)
     return _shown(options.out)

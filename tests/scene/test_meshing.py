@@ -1,4 +1,4 @@
-"""Generated meshes: the paper's beam exactly, and a finger that is one."""
+"""Generated meshes: the paper's beam exactly, and a solid finger that is one."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from finger_sim.errors import MeshError, MissingExtraError
+from finger_sim.scene.finger_solid import solid_finger
 from finger_sim.scene.mesh import TetMesh
-from finger_sim.scene.meshing import beam, finger, write_mesh
+from finger_sim.scene.meshing import beam, write_mesh
 from finger_sim.scene.resources import shipped
 
 needs_gmsh = pytest.mark.skipif(find_spec("gmsh") is None, reason="gmsh makes finger meshes")
@@ -27,16 +28,16 @@ SHIPPED = "shipped"
 def mesh_of(source: str | int) -> TetMesh:
     """The shipped finger, or one generated in about so many tets."""
     if source == SHIPPED:
-        return TetMesh.load(shipped("config") / "meshes" / "finger.vtu")
-    return finger(int(source))
+        return TetMesh.load(shipped("config") / "meshes" / "finger_paper.vtu")
+    return solid_finger(int(source))
 
 
 every_finger = pytest.mark.parametrize(
     "source",
     [
         SHIPPED,
-        *(pytest.param(tets, marks=needs_gmsh) for tets in (347, 2_000)),
-        pytest.param(10_000, marks=[needs_gmsh, pytest.mark.slow]),
+        pytest.param(347, marks=needs_gmsh),
+        *(pytest.param(tets, marks=[needs_gmsh, pytest.mark.slow]) for tets in (2_000, 10_000)),
     ],
 )
 
@@ -248,7 +249,7 @@ def test_pad_is_finely_meshed_where_it_is_pressed(source: str | int) -> None:
 def test_finger_is_the_same_every_time(tmp_path: Path) -> None:
     """Two generations give the same file, byte for byte."""
     for name in ("a.vtu", "b.vtu"):
-        write_mesh("finger", tmp_path / name, tets=347)
+        write_mesh("solid-finger", tmp_path / name, tets=347)
     assert (tmp_path / "a.vtu").read_bytes() == (tmp_path / "b.vtu").read_bytes()
 
 
@@ -267,14 +268,14 @@ def test_the_shipped_finger_is_what_the_command_makes() -> None:
 def test_impossible_fingers_are_refused(tets: int) -> None:
     """Not a count, or too few tets for the shape of a finger."""
     with pytest.raises(MeshError, match="finger tets"):
-        finger(tets)
+        solid_finger(tets)
 
 
 def test_without_gmsh_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """The error says what to install."""
     monkeypatch.setitem(sys.modules, "gmsh", None)
     with pytest.raises(MissingExtraError, match=r"finger_sim\[mesh\]"):
-        finger()
+        solid_finger()
 
 
 def test_gmsh_is_imported_only_when_a_finger_is_made() -> None:
@@ -295,6 +296,6 @@ def test_write_mesh_writes_what_meshio_reads(tmp_path: Path) -> None:
 
 
 def test_write_mesh_refuses_other_kinds(tmp_path: Path) -> None:
-    """Only a finger or a beam."""
+    """Only fingers and a beam."""
     with pytest.raises(MeshError, match="mesh kind"):
         write_mesh("hand", tmp_path / "hand.vtu")
