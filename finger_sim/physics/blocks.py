@@ -21,29 +21,50 @@ class Blocks(NamedTuple):
     pair_row: Ints
     pair_column: Ints
     assembly: Ints
+    patch_assembly: Ints
     row: Ints
     column: Ints
     place: Ints
 
 
-def blocks_of(tet_slot: Ints, nf: int, pattern: Pattern) -> Blocks:
-    """The blocks of A for tetrahedra with these slots, (T, 4)."""
+def blocks_of(tet_slot: Ints, patch_pairs: Ints, entry_slot: Ints, nf: int, pattern: Pattern) -> Blocks:
+    """The blocks of A for tetrahedra with these slots, (T, 4), and for the nodes of patches.
+
+    patch_pairs: (k, 3) patch and two of its entries; entry_slot: (N,) slot of each entry (see Patches).
+    """
     count = len(tet_slot)
     pairs = np.array(PAIRS)
     slots = tet_slot[:, pairs]  # (T, 10, 2)
     swap = slots[..., 0] < slots[..., 1]
     pair_row = np.ascontiguousarray(np.where(swap, pairs[:, 1], pairs[:, 0]))
     pair_column = np.ascontiguousarray(np.where(swap, pairs[:, 0], pairs[:, 1]))
-    rows, columns = slots.max(axis=2), slots.min(axis=2)
+    ends = entry_slot[patch_pairs[:, 1:]]
+    both = np.concatenate([slots.reshape(-1, 2), ends])
+    block, place, row, column, place_of = _numbered(both.max(axis=1), both.min(axis=1), nf, pattern)
+    tet_block = block[: 10 * count].reshape(count, 10)
+    t, e = np.nonzero(tet_block >= 0)
+    assembly = np.stack([t, pair_row[t, e], pair_column[t, e], tet_block[t, e]], axis=1)
+    patch_block, turned = block[10 * count :], ends[:, 0] < ends[:, 1]
+    entries = np.where(turned[:, None], patch_pairs[:, :0:-1], patch_pairs[:, 1:])
+    patch_assembly = np.column_stack([patch_pairs[:, 0], entries, patch_block])[patch_block >= 0]
+    tet_place = place[: 10 * count].reshape(count, 10)
+    return Blocks(tet_place, pair_row, pair_column, assembly, patch_assembly, row, column, place_of)
+
+
+def _numbered(rows: Ints, columns: Ints, nf: int, pattern: Pattern) -> tuple[Ints, Ints, Ints, Ints, Ints]:
+    """Of pairs of slots, row ≥ column: their blocks of A, their places in the factorisation, −1 where there is none.
+
+    And of the blocks below A's diagonal: row, column, and the place in the factorisation, where they have one.
+    """
     exists = rows < nf
     below = exists & (rows != columns)
     numbers, inverse = np.unique(rows[below] * nf + columns[below], return_inverse=True)
     row, column = numbers // nf, numbers % nf
-    place = np.array([block_of(pattern, int(r), int(c)) for r, c in zip(row, column, strict=True)], np.int64)
-    block, tet_place = np.full((count, 10), -1, np.int64), np.full((count, 10), -1, np.int64)
+    place_of = np.array([block_of(pattern, int(r), int(c)) for r, c in zip(row, column, strict=True)], np.int64)
+    block, place = np.full(len(rows), -1, np.int64), np.full(len(rows), -1, np.int64)
     diagonal = exists & (rows == columns)
-    block[diagonal] = tet_place[diagonal] = rows[diagonal]
-    block[below], tet_place[below] = nf + inverse, place[inverse]
+    block[diagonal] = place[diagonal] = rows[diagonal]
+    block[below], place[below] = nf + inverse, place_of[inverse]
     bone = (rows > nf) & (columns != nf)
     if bone.any():
         beside = bone & (rows != columns)
@@ -53,6 +74,4 @@ def blocks_of(tet_slot: Ints, nf: int, pattern: Pattern) -> Blocks:
         row, column = np.append(row, numbers // slots), np.append(column, numbers % slots)
         diagonal = bone & (rows == columns)
         block[diagonal] = nf + len(row) + rows[diagonal] - (nf + 3)
-    t, e = np.nonzero(block >= 0)
-    assembly = np.stack([t, pair_row[t, e], pair_column[t, e], block[t, e]], axis=1)
-    return Blocks(tet_place, pair_row, pair_column, assembly, row, column, place)
+    return block, place, row, column, place_of

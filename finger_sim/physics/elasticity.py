@@ -21,6 +21,7 @@ gives their tetrahedra within the step.
 from __future__ import annotations
 
 from .compile import formula, stage
+from .dilatation import patch_gradients, patch_pressures, patch_stiffness
 from .kinematics import edges_times
 from .lanes import add3, bits, gather3, load4, load8, scatter3, splat4, splat8, store4
 from .model import Model, State
@@ -53,6 +54,8 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
             for i in range(3):
                 rhs[nf + 3 + d, i] = masses[n] * (v[n, i] + h * gravity[i])
     beta = model.damping_stiffness
+    if model.patches.volume.shape[0] > 0:
+        patch_pressures(model, state, beta if again else h + beta)
     stresses(model, state, h, beta if again else h + beta)
     if anew:
         matrix(model, state, h)
@@ -99,7 +102,7 @@ def stresses(model: Model, state: State, h: float, lead: float) -> None:
     r, two_mu, lame_lambda = model.lane_gradients, 2.0 * model.lame_mu, model.lame_lambda
     rotations, strains, volumes, slots, nodes = state.R, state.E, model.lane_volume, model.lane_slot, model.lane_node
     driven, w, rhs, g = model.lane_driven, state.driven_velocity, state.rhs, state.g
-    limit_force = state.limit_force
+    limit_force, patched, pressures = state.limit_force, model.patches.volume.shape[0] > 0, state.pressure
     follows = turning_limits(model, state)
     for b in range(rotations.shape[0]):
         turns = False
@@ -126,6 +129,8 @@ def stresses(model: Model, state: State, h: float, lead: float) -> None:
                 f5, f6, f7, f8 = w0 * f5, w0 * f6, w0 * f7, w0 * f8
         impulse = -h * load8(volumes, b, 0)
         pressure = lame_lambda * (e0 + e1 + e2)
+        if patched:
+            pressure = pressure + load8(pressures, b, 0)
         s0, s1, s2 = (
             impulse * (two_mu * e0 + pressure),
             impulse * (two_mu * e1 + pressure),
@@ -171,6 +176,9 @@ def matrix(model: Model, state: State, h: float) -> None:
         a_lambda, b_mu = a * w_lambda, b * w_mu
         for j in range(3):
             store4(A, block, j, load4(A, block, j) + (a_lambda * g[t, column, j] + b_mu * g[t, row, j]))
+    if model.patches.volume.shape[0] > 0:
+        patch_gradients(model, state)
+        patch_stiffness(model, state, weight)
     if not turning_limits(model, state):
         return
     limit_force, dot = state.limit_force.reshape(-1), model.assembly_dot

@@ -22,6 +22,21 @@ class Pattern(NamedTuple):
     work: Floats  # (most blocks in a panel, 3, 4) L D of the panel that `factor` is at
 
 
+class Patches(NamedTuple):
+    """Patches of tetrahedra with one volume strain each (dilatation.py); no patch where each has its own.
+
+    P patches; N entries for their nodes, those of patch 0 first: a node has one in each patch it belongs to.
+    """
+
+    bulk: float  # K [Pa]
+    volume: Floats  # (P,) V_p [m³]
+    lane: Ints  # (B, 8) patch of the tetrahedra in lanes
+    tet_place: Ints  # (T, 4) entries of a tetrahedron's nodes in its patch
+    tet_share: Floats  # (T,) vol / V_p
+    node: Ints  # (N,) nodes
+    assembly: Ints  # (k, 4) contributions to A: patch, entries at the row and the column, block of A
+
+
 class Model(NamedTuple):
     """Rest shape, masses, patterns and coefficients.
 
@@ -60,9 +75,10 @@ class Model(NamedTuple):
     block_place: Ints  # (…,) where it is in the factorisation; those of a bone's nodes, the last ones, are not in it
     laplace: Floats  # (blocks,) Σ vol r_a · r_b of each block [m]: its part that does not turn
     pattern: Pattern  # of the factorisation of A
+    patches: Patches
     surface_nodes: Ints  # (k,) nodes of the boundary
     contact_nodes: Ints  # (c,) those of them that are free
-    lame_lambda: float  # [Pa]
+    lame_lambda: float  # [Pa]; where there are patches −2 μ / 3: what a tetrahedron's deviator has of it
     lame_mu: float  # [Pa]
     least_force: float  # forces are judged relative to the largest row force, and no finer than relative to this [N]
     damping_mass: float  # Rayleigh α [1/s]
@@ -223,6 +239,9 @@ class State(NamedTuple):
     # A v = b, and the factors of A or of what a solver makes of it.
     g: Floats  # (8 B, 4, 4) g_n = R r_n of each node of each tetrahedron [1/m], world
     A: Floats  # (nf + na, 3, 4)
+    theta: Floats  # (P,) K θ_p [Pa]
+    pressure: Floats  # (B, 8) the same of the patch of each tetrahedron
+    G: Floats  # (N, 4) gradient of θ_p at each node of each patch [1/m], world
     rhs: Floats  # (slots, 4)
     slot_velocity: Floats  # (slots, 4) velocities in slot order
     slot_product: Floats  # (slots, 4) scratch

@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arrays import Floats, Ints
-from .blocks import PAIRS, blocks_of
+from .blocks import PAIRS, Blocks, blocks_of
 from .elimination import analyse
 from .lanes import LANES, aligned_copy, padded
 from .locking import STIFF_BULK, bulk_to_shear, isochoric_strain
 from .methods import NONE
-from .model import Model, Pattern
+from .model import Model, Patches, Pattern
+from .patches import Partition, each_alone, partition, shares
 from .tensor_limit import limit_factors
 
 
@@ -43,6 +44,12 @@ class Tissue(NamedTuple):
     poisson: float
     damping_mass: float  # Rayleigh α [1/s]
     damping_stiffness: float  # Rayleigh β [s]
+    patched: bool = False  # volume strain is that of patches of tetrahedra, not each one's own
+
+    @property
+    def bulk(self) -> float:
+        """K [Pa]."""
+        return self.young / (3.0 * (1.0 - 2.0 * self.poisson))
 
     @property
     def shear(self) -> float:
@@ -108,9 +115,10 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
     np.add.at(mass, tets.ravel(), np.repeat(tissue.density * volume / 4.0, 4))
     is_free = np.ones(len(body.points), bool)
     is_free[driven] = False
-    slots = _slots(body, is_free)
+    patches = partition(tets) if tissue.patched else each_alone()
+    slots = _slots(body, is_free, patches)
     nf = len(slots.free)
-    blocks = blocks_of(slots.of_tet, nf, slots.pattern)
+    blocks = blocks_of(slots.of_tet, patches.pairs, slots.of_node[patches.node], nf, slots.pattern)
     laplace = np.zeros(nf + len(blocks.row) + (len(driven) if has_bone else 0))
     t, row, column, block = blocks.assembly.T
     dot = np.einsum("ki,ki->k", gradients[t, row], gradients[t, column])
@@ -141,9 +149,12 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         block_place=blocks.place,
         laplace=laplace,
         pattern=slots.pattern,
+        patches=_patches(patches, volume, tissue, blocks),
         surface_nodes=surface_nodes,
         contact_nodes=surface_nodes[is_free[surface_nodes]],
-        lame_lambda=tissue.young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)),
+        lame_lambda=-2.0 / 3.0 * tissue.shear
+        if tissue.patched
+        else tissue.young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)),
         lame_mu=tissue.shear,
         least_force=_least_force(tissue.shear, setting.gravity, mass, length),
         damping_mass=tissue.damping_mass,
@@ -167,12 +178,28 @@ class _Slots(NamedTuple):
     total: int
 
 
-def _slots(body: Body, is_free: Any) -> _Slots:
+def _patches(found: Partition, volume: Floats, tissue: Tissue, blocks: Blocks) -> Patches:
+    """What a Model has of patches."""
+    whole, share = shares(found, volume)
+    lanes = _side_by_side(found.of_tet) if len(whole) else np.empty((0, LANES), np.int64)
+    return Patches(
+        bulk=tissue.bulk,
+        volume=whole,
+        lane=np.ascontiguousarray(lanes),
+        tet_place=found.tet_place,
+        tet_share=share,
+        node=found.node,
+        assembly=np.ascontiguousarray(blocks.patch_assembly),
+    )
+
+
+def _slots(body: Body, is_free: Any, patches: Partition) -> _Slots:
     """Free nodes in the order of elimination, the empty slot, then a yielding bone and its nodes."""
     n, nodes = len(is_free), np.flatnonzero(is_free)
     number = np.full(n, -1, np.int64)
     number[nodes] = np.arange(len(nodes))
-    pairs = np.concatenate([body.tets[:, [a, b]] for a, b in PAIRS if a != b])
+    apart = patches.pairs[patches.pairs[:, 1] != patches.pairs[:, 2], 1:]
+    pairs = np.concatenate([*(body.tets[:, [a, b]] for a, b in PAIRS if a != b), patches.node[apart]])
     edges = number[pairs]
     pattern = analyse(np.unique(np.sort(edges[(edges >= 0).all(axis=1)], axis=1), axis=0), len(nodes))
     free = nodes[pattern.order]

@@ -19,7 +19,7 @@ from ..arrays import Floats
 from .compile import kernel
 from .kinematics import kinematics
 from .methods import NONE, TENSOR
-from .model import Model, Newton, Pgs, Principal, State, Tensor, Yielding
+from .model import Model, Newton, Patches, Pgs, Principal, State, Tensor, Yielding
 from .step import step
 from .strain_limits import strain_ratio
 from .tensor_limit import all_strains, find_near
@@ -42,7 +42,9 @@ def _pointers_to(record: Any) -> Callable[[Any], Any]:
     return pointer
 
 
-_POINTERS = {record: _pointers_to(record) for record in (Model, State, Newton, Pgs, Yielding, Principal, Tensor)}
+_POINTERS = {
+    record: _pointers_to(record) for record in (Model, State, Patches, Newton, Pgs, Yielding, Principal, Tensor)
+}
 KERNELS = (*_POINTERS.values(), step, all_strains)
 """What `ready`, `advance`, `refresh` and `measure_strains` call: these, and what these call."""
 

@@ -66,6 +66,13 @@ class Material:
     young: float = field("float", "Young's modulus E", default=2.0e6, unit="Pa", low=1.0, high=1e12)
     poisson: float = field("float", "Poisson's ratio ν", default=0.4, low=-0.9, high=0.4999)
     damping: Damping = field("part", "Rayleigh damping", default=Damping(), part=Damping)
+    volumetric: Literal["element", "patch"] = field(
+        "choice",
+        "What has one volume strain: each tetrahedron, as in the paper, which locks where volume is all but kept; or "
+        "patches of some four",
+        default="element",
+        choices=("element", "patch"),
+    )
 
 
 @dataclasses.dataclass(frozen=True)

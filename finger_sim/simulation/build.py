@@ -19,7 +19,12 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
     rest = rest_of(mesh.points, tets, mesh.axes)
     material, solver = scene.material, scene.solver
     tissue = Tissue(
-        material.density, material.young, material.poisson, material.damping.mass, material.damping.stiffness
+        material.density,
+        material.young,
+        material.poisson,
+        material.damping.mass,
+        material.damping.stiffness,
+        material.volumetric == "patch",
     )
     setting = Setting(np.array(scene.gravity), scene.plane is not None, METHODS[solver.method], solver.relinearizations)
     strains = _strains(scene.limits) if scene.limits else UNLIMITED
