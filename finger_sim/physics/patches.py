@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import heapq
-from itertools import combinations_with_replacement
+import math
+from itertools import combinations, combinations_with_replacement, pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Floats, Ints
 
-USUAL = 4
-"""Tetrahedra that a patch is to have: more do not lock less, and cost more."""
+Flags = NDArray[np.bool_]
+
+WANTED = 1.25
+"""Free nodes that a patch is to have to itself, each shared out evenly among the patches at it.
+
+As volume is all but kept each patch is a constraint: one that has less than a node's three freedoms to meet it holds
+its nodes. More frees little more, and fills the matrix.
+"""
+USUAL, MOST = 8, 16
+"""Tetrahedra of a patch: joined up to the first, and further only where it lacks nodes."""
+FEW = 3
+"""Free nodes below which a patch is joined rather to one that brings others."""
 
 
 class Partition(NamedTuple):
@@ -30,79 +42,95 @@ def each_alone() -> Partition:
     )
 
 
-def partition(tets: Ints) -> Partition:
-    """Patches of about USUAL tetrahedra (T, 4) around a common node."""
-    of_tet = _stars(tets)
+def partition(tets: Ints, is_free: Flags) -> Partition:
+    """Patches of tetrahedra (T, 4) that have WANTED of the free nodes. The same mesh gives the same ones."""
+    of_tet = _patches(tets, is_free)
     patch, node = np.repeat(of_tet, 4), tets.ravel()
-    (_, first), inverse = _unique_rows(patch, node)
-    entries_patch, entries_node = patch[first], node[first]
-    pairs = []
-    starts = np.searchsorted(entries_patch, np.arange(of_tet.max() + 2))
-    for p, (begin, end) in enumerate(zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)):
-        pairs += [(p, a, b) for b, a in combinations_with_replacement(range(begin, end), 2)]
-    return Partition(of_tet, inverse.reshape(-1, 4), entries_node, np.array(pairs, np.int64))
+    _, first, inverse = np.unique(patch * (node.max() + 1) + node, return_index=True, return_inverse=True)
+    of_entry = patch[first]
+    starts = np.searchsorted(of_entry, np.arange(of_tet.max() + 2)).tolist()
+    pairs = [
+        (p, a, b)
+        for p, (begin, end) in enumerate(pairwise(starts))
+        for b, a in combinations_with_replacement(range(begin, end), 2)
+    ]
+    return Partition(of_tet, inverse.reshape(-1, 4), node[first], np.array(pairs, np.int64))
 
 
-def _unique_rows(patch: Ints, node: Ints) -> tuple[tuple[Ints, Ints], Ints]:
-    numbers, first, inverse = np.unique(patch * (node.max() + 1) + node, return_index=True, return_inverse=True)
-    return (numbers, first), inverse
-
-
-def _stars(tets: Ints) -> Ints:
-    """Patch of each tetrahedron: again and again those left around the node that has nearest to USUAL of them."""
-    around: list[list[int]] = [[] for _ in range(int(tets.max()) + 1)]
-    for t, nodes in enumerate(tets.tolist()):
-        for node in nodes:
-            around[node].append(t)
-    left = [len(star) for star in around]
-    waiting = [(abs(count - USUAL), node, count) for node, count in enumerate(left) if count]
+def _patches(tets: Ints, is_free: Flags) -> Ints:
+    """Patch of each tetrahedron: again and again that with the least share of free nodes is joined to a neighbour."""
+    joining = _Joining(tets, is_free)
+    waiting = [(share, patch) for patch, share in joining.share.items()]
     heapq.heapify(waiting)
-    patch = np.full(len(tets), -1, np.int64)
-    count = 0
     while waiting:
-        _, node, known = heapq.heappop(waiting)
-        if known != left[node] or not known:
-            continue
-        star = [t for t in around[node] if patch[t] < 0][: USUAL + USUAL // 2]
-        touched = set()
-        for t in star:
-            patch[t] = count
-            for other in tets[t].tolist():
-                left[other] -= 1
-                touched.add(other)
-        count += 1
-        for other in sorted(touched):
-            if left[other]:
-                heapq.heappush(waiting, (abs(left[other] - USUAL), other, left[other]))
-    return _joined(tets, patch)
+        share, patch = heapq.heappop(waiting)
+        if joining.share.get(patch) != share:
+            continue  # it has changed since
+        if share >= WANTED:
+            break
+        other = joining.partner(patch, USUAL)
+        other = joining.partner(patch, MOST) if other is None else other
+        if other is not None:
+            for changed in joining.join(patch, other):
+                heapq.heappush(waiting, (joining.share[changed], changed))
+    return np.asarray(np.unique(joining.patch, return_inverse=True)[1], np.int64)
 
 
-def _joined(tets: Ints, patch: Ints) -> Ints:
-    """Patches of fewer than half of USUAL go to the smallest one that they share a face with."""
-    faces: dict[tuple[int, ...], int] = {}
-    beside: list[list[int]] = [[] for _ in tets]
-    for t, nodes in enumerate(tets.tolist()):
-        for k in range(4):
-            face = tuple(sorted(nodes[:k] + nodes[k + 1 :]))
-            if face in faces:
-                beside[t].append(faces[face])
-                beside[faces[face]].append(t)
-            else:
-                faces[face] = t
-    members: list[list[int]] = [[] for _ in range(int(patch.max()) + 1)]
-    for t, p in enumerate(patch.tolist()):
-        members[p].append(t)
-    for p in sorted(range(len(members)), key=lambda p: len(members[p])):
-        if not 0 < len(members[p]) < USUAL / 2:
-            continue
-        others = {int(patch[other]) for t in members[p] for other in beside[t]} - {p}
-        if others:
-            new = min(others, key=lambda q: (len(members[q]), q))
-            patch[members[p]] = new
-            members[new] += members[p]
-            members[p] = []
-    _, numbers = np.unique(patch, return_inverse=True)
-    return np.asarray(numbers, np.int64)
+class _Joining:
+    """Patches that begin as one tetrahedron each. One without a free node stays alone: it has no volume strain."""
+
+    def __init__(self, tets: Ints, is_free: Flags) -> None:
+        moves = is_free[tets].any(axis=1)
+        self.patch = np.arange(len(tets))
+        own = np.flatnonzero(moves).tolist()
+        self.members = {t: [t] for t in own}
+        self.nodes = {t: {node for node in tets[t].tolist() if is_free[node]} for t in own}
+        self.beside: dict[int, set[int]] = {t: set() for t in own}
+        faces: dict[tuple[int, ...], int] = {}
+        for t in own:
+            for face in combinations(sorted(tets[t].tolist()), 3):
+                if (other := faces.setdefault(face, t)) != t:
+                    self.beside[t].add(other)
+                    self.beside[other].add(t)
+        self.at: dict[int, set[int]] = {}
+        for t, nodes in self.nodes.items():
+            for node in nodes:
+                self.at.setdefault(node, set()).add(t)
+        self.share = {t: self._share(t) for t in own}
+
+    def partner(self, patch: int, most: int) -> int | None:
+        """The neighbour to join, with at most so many tetrahedra together: most of the patch's nodes, as that fills the
+        matrix least; others where the patch has few; the least share."""
+        mine, room = self.nodes[patch], most - len(self.members[patch])
+
+        def cost(other: int) -> tuple[int, int, float, int]:
+            theirs = self.nodes[other]
+            return len(mine - theirs), max(0, FEW - len(mine | theirs)), self.share[other], other
+
+        return min((each for each in self.beside[patch] if len(self.members[each]) <= room), key=cost, default=None)
+
+    def join(self, patch: int, other: int) -> set[int]:
+        """One patch of the two, under the first's number; the patches whose share this changed."""
+        self.patch[self.members[other]] = patch
+        self.members[patch] += self.members.pop(other)
+        del self.share[other]
+        touched = {patch}
+        for node in self.nodes[other]:
+            self.at[node].remove(other)
+            touched |= self.at[node]
+            self.at[node].add(patch)
+        self.nodes[patch] |= self.nodes.pop(other)
+        for third in self.beside.pop(other):
+            self.beside[third].remove(other)
+            if third != patch:
+                self.beside[third].add(patch)
+                self.beside[patch].add(third)
+        for changed in touched:
+            self.share[changed] = self._share(changed)
+        return touched
+
+    def _share(self, patch: int) -> float:
+        return math.fsum(1.0 / len(self.at[node]) for node in self.nodes[patch])
 
 
 def shares(partition: Partition, volume: Floats) -> tuple[Floats, Floats]:

@@ -115,7 +115,7 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
     np.add.at(mass, tets.ravel(), np.repeat(tissue.density * volume / 4.0, 4))
     is_free = np.ones(len(body.points), bool)
     is_free[driven] = False
-    patches = partition(tets) if tissue.patched else each_alone()
+    patches = partition(tets, is_free) if tissue.patched else each_alone()
     slots = _slots(body, is_free, patches)
     nf = len(slots.free)
     blocks = blocks_of(slots.of_tet, patches.pairs, slots.of_node[patches.node], nf, slots.pattern)
