@@ -22,6 +22,7 @@ class Blocks(NamedTuple):
     pair_column: Ints
     assembly: Ints
     patch_assembly: Ints
+    patch_place: Ints
     row: Ints
     column: Ints
     place: Ints
@@ -47,8 +48,9 @@ def blocks_of(tet_slot: Ints, patch_pairs: Ints, entry_slot: Ints, nf: int, patt
     patch_block, turned = block[10 * count :], ends[:, 0] < ends[:, 1]
     entries = np.where(turned[:, None], patch_pairs[:, :0:-1], patch_pairs[:, 1:])
     patch_assembly = np.column_stack([patch_pairs[:, 0], entries, patch_block])[patch_block >= 0]
+    patch_place = place[10 * count :][patch_block >= 0]
     tet_place = place[: 10 * count].reshape(count, 10)
-    return Blocks(tet_place, pair_row, pair_column, assembly, patch_assembly, row, column, place_of)
+    return Blocks(tet_place, pair_row, pair_column, assembly, patch_assembly, patch_place, row, column, place_of)
 
 
 def _numbered(rows: Ints, columns: Ints, nf: int, pattern: Pattern) -> tuple[Ints, Ints, Ints, Ints, Ints]:

@@ -12,6 +12,7 @@ import math
 from ..arrays import Floats
 from .bone import STOPPED
 from .compile import stage
+from .dilatation import part_of_patch
 from .lanes import Lanes, lane, load4, load8, splat4, splat8, store8
 from .linear_solver import solve, solve8
 from .model import Model, State
@@ -42,6 +43,8 @@ def factor_bone(model: Model, state: State, h: float, contacts: int, rows: int, 
         arm = load4(arms, d, 0)
         of_bone(A, nf + blocks + d, arm, scratch)
         add_rigid(S, scratch, arm, False)
+    own, G = model.patches, state.G
+    patched = own.volume.shape[0] > 0
     for row in range(contacts, rows):
         if stiffness[row] <= 0.0:
             continue
@@ -51,6 +54,19 @@ def factor_bone(model: Model, state: State, h: float, contacts: int, rows: int, 
             if slot > nf:
                 touches = True
                 j4 = load4(J, row, n)
+                pull = pull + j4
+                a, b, c = cross(load4(arms, slot - nf - 3, 0), j4)
+                t0, t1, t2 = t0 + a, t1 + b, t2 + c
+        part, first, last = 0.0, 0, 0
+        if patched:
+            t = state.row_tet[row]
+            patch, part = own.lane[t // 8, t % 8], part_of_patch(state.row_side[row])
+            first, last = own.start[patch], own.start[patch + 1]
+        for k in range(first, last):
+            slot = own.slot[k]
+            if slot > nf:
+                touches = True
+                j4 = load4(G, k, 0) * part
                 pull = pull + j4
                 a, b, c = cross(load4(arms, slot - nf - 3, 0), j4)
                 t0, t1, t2 = t0 + a, t1 + b, t2 + c
@@ -64,6 +80,11 @@ def factor_bone(model: Model, state: State, h: float, contacts: int, rows: int, 
                 if slot < nf:
                     for j in range(3):
                         store8(B, slot, j, load8(B, slot, j) + load8(scratch, 0, 0) * (weight * J[row, n, j]))
+            for k in range(first, last):
+                slot = own.slot[k]
+                if slot < nf:
+                    for j in range(3):
+                        store8(B, slot, j, load8(B, slot, j) + load8(scratch, 0, 0) * (weight * part * G[k, j]))
     spring, pulls, stop = model.spring, bone.pulls, bone.stop
     for part in range(2):
         gives = h * (h * spring[part, 0] + spring[part, 1]) * pulls[part, 3]

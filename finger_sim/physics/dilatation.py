@@ -10,13 +10,18 @@ stiffness has a block K V_p G_a G_bᵀ for each two nodes of a patch, with the g
     G_n = Σ_{e ∈ p} vol_e R_e r_{e,n} / V_p.
 
 The matrix stays symmetric and positive definite, and nothing is unknown but the nodes' velocities.
+
+Limits act on Ē = dev E + θ_p I / 3, or they would lock what the patches free. A limit row of a tetrahedron is then a
+gradient at its own four nodes, as without patches, and α G at all nodes of its patch: α is a third of what the row has
+for a change of all three strains (tensor_limit.py).
 """
 
 from __future__ import annotations
 
-from .compile import stage
+from ..arrays import Floats, Ints
+from .compile import formula, stage
 from .kinematics import edges_times
-from .lanes import gather3, load4, load8, splat4, store4, store8
+from .lanes import gather3, load4, load8, splat4, store4, store8, sum3
 from .model import Model, State
 from .polar import load_matrix
 
@@ -55,6 +60,82 @@ def patch_pressures(model: Model, state: State, lead: float) -> None:
     for b in range(strains.shape[0]):
         for l in range(8):
             pressure[b, l] = theta[patches[b, l]]
+
+
+@stage
+def mean_strains(model: Model, state: State) -> None:
+    """Ē of every tetrahedron into state.limit_strain."""
+    own, strains, mean, volumes = model.patches, state.E, state.limit_strain, model.lane_volume
+    theta, patches = state.patch_rate, own.lane
+    theta[:] = 0.0
+    for b in range(strains.shape[0]):
+        trace = load8(strains, b, 0) + load8(strains, b, 1) + load8(strains, b, 2)
+        store8(mean, b, 0, trace * load8(volumes, b, 0))
+        for l in range(8):
+            theta[patches[b, l]] += mean[b, 0, l]
+    for p in range(theta.shape[0]):
+        theta[p] /= own.volume[p]
+    for b in range(strains.shape[0]):
+        e0, e1, e2 = load8(strains, b, 0), load8(strains, b, 1), load8(strains, b, 2)
+        for l in range(8):
+            mean[b, 0, l] = theta[patches[b, l]]
+        change = (load8(mean, b, 0) - (e0 + e1 + e2)) * (1.0 / 3.0)
+        store8(mean, b, 0, e0 + change)
+        store8(mean, b, 1, e1 + change)
+        store8(mean, b, 2, e2 + change)
+        for c in range(3, 6):
+            store8(mean, b, c, load8(strains, b, c))
+
+
+@formula
+def part_of_patch(side: float) -> float:
+    """α of a `tensor` row on the stretch side (+1) or the compression side (−1)."""
+    return -side * (1.0 / 3.0)
+
+
+@stage
+def patch_rates(model: Model, state: State, places: Ints, velocities: Floats) -> None:
+    """θ̇_p of velocities into state.patch_rate; places (N,): which of them each entry has."""
+    start, rates, G = model.patches.start, state.patch_rate, state.G
+    for p in range(rates.shape[0]):
+        total = splat4(0.0)
+        for k in range(start[p], start[p + 1]):
+            total = total + load4(G, k, 0) * load4(velocities, places[k], 0)
+        rates[p] = sum3(total)
+
+
+@stage
+def add_patch_forces(model: Model, state: State, h: float, r: Floats) -> None:
+    """Add h Σ α λ G, whose sums over the rows of a patch state.patch_force has, to r in slot order."""
+    own, force, G = model.patches, state.patch_force, state.G
+    start, slots = own.start, own.slot
+    for p in range(force.shape[0]):
+        if force[p] != 0.0:
+            for k in range(start[p], start[p + 1]):
+                store4(r, slots[k], 0, load4(r, slots[k], 0) + load4(G, k, 0) * (h * force[p]))
+
+
+@stage
+def add_patch_rows(model: Model, state: State, D: Floats, L: Floats) -> None:
+    """Add to the Hessian's blocks what limit rows have of their patches' other nodes.
+
+    Of a row with the weight w, J at its own nodes and α: w α (J Gᵀ + G Jᵀ) + w α² G Gᵀ. state.patch_cross has the sums
+    of w α J at the nodes of each patch, state.patch_force those of w α².
+    """
+    own, cross, square, G = model.patches, state.patch_cross, state.patch_force, state.G
+    assembly, place = own.assembly, own.place
+    for k in range(assembly.shape[0]):
+        p, row, column = assembly[k, 0], assembly[k, 1], assembly[k, 2]
+        if square[p] == 0.0 or place[k] < 0:
+            continue
+        half = 0.5 * square[p]
+        g, c = load4(G, row, 0), load4(cross, row, 0)
+        a = c + g * half
+        block = D if own.slot[row] == own.slot[column] else L
+        for j in range(3):
+            other = G[column, j]
+            mixed = cross[column, j] + half * other
+            store4(block, place[k], j, load4(block, place[k], j) + (a * other + g * mixed))
 
 
 @stage

@@ -57,6 +57,8 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
     if model.patches.volume.shape[0] > 0:
         patch_pressures(model, state, beta if again else h + beta)
     stresses(model, state, h, beta if again else h + beta)
+    if model.patches.volume.shape[0] > 0:
+        patch_gradients(model, state)
     if anew:
         matrix(model, state, h)
         state.work[MATRICES] += 1
@@ -177,7 +179,6 @@ def matrix(model: Model, state: State, h: float) -> None:
         for j in range(3):
             store4(A, block, j, load4(A, block, j) + (a_lambda * g[t, column, j] + b_mu * g[t, row, j]))
     if model.patches.volume.shape[0] > 0:
-        patch_gradients(model, state)
         patch_stiffness(model, state, weight)
     if not turning_limits(model, state):
         return

@@ -5,10 +5,11 @@ from __future__ import annotations
 from ..arrays import Floats
 from .border import factor_bone
 from .compile import formula, stage
+from .dilatation import add_patch_rows, part_of_patch
 from .lanes import Lanes, lane, load4, splat4, store4
 from .linear_solver import factor
 from .model import Model, State
-from .vectors import copy_first
+from .vectors import clear, copy_first
 from .work import FACTORISATIONS
 
 
@@ -52,9 +53,20 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int, hol
         if stiffness[row] > 0.0:
             normal, tangent = h * h * stiffness[row], h * h * stiffness[row + 1]
             add_contact(D, row_slot[row, 0], J, row, load4(slip, c, 0), normal, tangent)
+    patched, patches, entries = model.patches.volume.shape[0] > 0, model.patches.lane, model.patches.tet_place
+    cross, square = state.patch_cross, state.patch_force
+    if patched:
+        clear(cross)
+        square[:] = 0.0
     for row in range(contacts, rows):
         if stiffness[row] > 0.0:
             weight, t = h * h * stiffness[row], row_tet[row]
+            if patched:
+                part = part_of_patch(state.row_side[row])
+                square[patches[t // 8, t % 8]] += weight * part * part
+                for n in range(4):
+                    k = entries[t, n]
+                    store4(cross, k, 0, load4(cross, k, 0) + load4(J, row, n) * (weight * part))
             for e in range(10):
                 place = tet_place[t, e]
                 if place < 0:
@@ -64,6 +76,8 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int, hol
                     add_outer(D, place, load4(J, row, i) * weight, J, row, k)
                 else:
                     add_outer(L, place, load4(J, row, i) * weight, J, row, k)
+    if patched:
+        add_patch_rows(model, state, D, L)
     definite = factor(model.pattern, D, L, state.L_inverse)
     if definite and model.has_bone:
         definite = factor_bone(model, state, h, contacts, rows, state.yielding.holds[0])

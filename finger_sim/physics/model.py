@@ -33,8 +33,11 @@ class Patches(NamedTuple):
     lane: Ints  # (B, 8) patch of the tetrahedra in lanes
     tet_place: Ints  # (T, 4) entries of a tetrahedron's nodes in its patch
     tet_share: Floats  # (T,) vol / V_p
+    start: Ints  # (P + 1,) first entry of each patch
     node: Ints  # (N,) nodes
+    slot: Ints  # (N,) their slots
     assembly: Ints  # (k, 4) contributions to A: patch, entries at the row and the column, block of A
+    place: Ints  # (k,) where that block is in the factorisation, −1: nowhere (see Model.tet_place)
 
 
 class Model(NamedTuple):
@@ -213,6 +216,7 @@ class State(NamedTuple):
     wrench: Floats  # (6,) sum of contact_force [N] and torque about `origin` [N m]: plane on finger, world axes
     R: Floats  # (B, 9, 8) rotation of each tetrahedron at x: F = R (I + E), from material axes to the world
     E: Floats  # (B, 6, 8) Biot strain 00 11 22 12 02 01, material axes
+    limit_strain: Floats  # (B, 6, 8) what limits bound: E, or its deviator with the volume strain of the patch
     inverted: Ints  # (1,) batches with a tetrahedron that is inside out
     strain_ratio: Floats  # (T,) strain/limit at x
     active_rows: Ints  # (T,) rows of each tetrahedron that carry a force
@@ -242,6 +246,9 @@ class State(NamedTuple):
     theta: Floats  # (P,) K θ_p [Pa]
     pressure: Floats  # (B, 8) the same of the patch of each tetrahedron
     G: Floats  # (N, 4) gradient of θ_p at each node of each patch [1/m], world
+    patch_rate: Floats  # (P,) θ̇_p of velocities [1/s]
+    patch_force: Floats  # (P,) sums over the limit rows of each patch
+    patch_cross: Floats  # (N, 4) the same at its nodes
     rhs: Floats  # (slots, 4)
     slot_velocity: Floats  # (slots, 4) velocities in slot order
     slot_product: Floats  # (slots, 4) scratch

@@ -26,6 +26,7 @@ from .bone import bone_residual
 from .border import solve_all
 from .clock import FACTOR, SOLVE, lap, seconds
 from .compile import stage
+from .dilatation import add_patch_forces, part_of_patch, patch_rates
 from .elasticity import slot_velocities
 from .hessian import factor_elastic, refactor
 from .lanes import load4, splat4, store4, sum3
@@ -178,7 +179,7 @@ def evaluate(
     """
     r, nf = state.newton.next_residual, model.free.shape[0]
     pressed, touching, changed = contact_forces(model, state, h, contacts, change)
-    strongest, held, others = limit_forces(state, h, contacts, rows, change)
+    strongest, held, others = limit_forces(model, state, h, contacts, rows, change)
     largest = max(pressed, strongest)
     held += touching
     changed |= others
@@ -241,21 +242,40 @@ def contact_forces(model: Model, state: State, h: float, contacts: int, change: 
 
 
 @stage
-def limit_forces(state: State, h: float, contacts: int, rows: int, change: Floats) -> tuple[float, int, bool]:
+def limit_forces(
+    model: Model, state: State, h: float, contacts: int, rows: int, change: Floats
+) -> tuple[float, int, bool]:
     """The part of limits in `evaluate`. (largest nodal force, how many hold, whether others did)."""
     own, J, lam, row_slot, scale = state.newton, state.J, state.lam, state.row_slot, state.scale
     r, stiffness, factored = own.next_residual, own.stiffness, own.factored
     constant, compliance = state.constant, state.compliance
     largest, held, changed = 0.0, 0, False
+    own_patches, row_tet, row_side = model.patches, state.row_tet, state.row_side
+    patched, patches, rates, sums = (
+        own_patches.volume.shape[0] > 0,
+        own_patches.lane,
+        state.patch_rate,
+        state.patch_force,
+    )
+    if patched and rows > contacts:
+        patch_rates(model, state, own_patches.slot, change)
+        sums[:] = 0.0
     for row in range(contacts, rows):
         s0, s1, s2, s3 = row_slot[row, 0], row_slot[row, 1], row_slot[row, 2], row_slot[row, 3]
         j0, j1, j2, j3 = load4(J, row, 0), load4(J, row, 1), load4(J, row, 2), load4(J, row, 3)
         moved = j0 * load4(change, s0, 0) + j1 * load4(change, s1, 0)
         moved = moved + j2 * load4(change, s2, 0) + j3 * load4(change, s3, 0)
-        force = -(constant[row] + h * sum3(moved)) / compliance[row]
+        total, patch, part = sum3(moved), 0, 0.0
+        if patched:
+            t = row_tet[row]
+            patch, part = patches[t // 8, t % 8], part_of_patch(row_side[row])
+            total += part * rates[patch]
+        force = -(constant[row] + h * total) / compliance[row]
         if force > 0.0:
             lam[row], stiffness[row] = force, 1.0 / compliance[row]
             held += 1
+            if patched:
+                sums[patch] += part * force
             largest = max(largest, force * scale[row])
             force *= h
             store4(r, s0, 0, load4(r, s0, 0) + j0 * force)
@@ -265,6 +285,8 @@ def limit_forces(state: State, h: float, contacts: int, rows: int, change: Float
         else:
             lam[row] = stiffness[row] = 0.0
         changed |= (stiffness[row] > 0.0) != (factored[row] > 0.0)
+    if patched and held > 0:
+        add_patch_forces(model, state, h, r)
     return largest, held, changed
 
 

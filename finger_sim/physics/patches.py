@@ -31,15 +31,15 @@ class Partition(NamedTuple):
 
     of_tet: Ints  # (T,)
     tet_place: Ints  # (T, 4)
+    start: Ints  # (P + 1,)
     node: Ints  # (N,)
     pairs: Ints  # (k, 3) patch, and two of its entries
 
 
 def each_alone() -> Partition:
     """No patch: every tetrahedron has its own volume strain."""
-    return Partition(
-        np.empty(0, np.int64), np.empty((0, 4), np.int64), np.empty(0, np.int64), np.empty((0, 3), np.int64)
-    )
+    none = np.empty(0, np.int64)
+    return Partition(none, none.reshape(0, 4), np.zeros(1, np.int64), none, none.reshape(0, 3))
 
 
 def partition(tets: Ints, is_free: Flags) -> Partition:
@@ -48,13 +48,13 @@ def partition(tets: Ints, is_free: Flags) -> Partition:
     patch, node = np.repeat(of_tet, 4), tets.ravel()
     _, first, inverse = np.unique(patch * (node.max() + 1) + node, return_index=True, return_inverse=True)
     of_entry = patch[first]
-    starts = np.searchsorted(of_entry, np.arange(of_tet.max() + 2)).tolist()
+    start = np.searchsorted(of_entry, np.arange(of_tet.max() + 2))
     pairs = [
         (p, a, b)
-        for p, (begin, end) in enumerate(pairwise(starts))
+        for p, (begin, end) in enumerate(pairwise(start.tolist()))
         for b, a in combinations_with_replacement(range(begin, end), 2)
     ]
-    return Partition(of_tet, inverse.reshape(-1, 4), node[first], np.array(pairs, np.int64))
+    return Partition(of_tet, inverse.reshape(-1, 4), start, node[first], np.array(pairs, np.int64))
 
 
 def _patches(tets: Ints, is_free: Flags) -> Ints:

@@ -149,7 +149,7 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         block_place=blocks.place,
         laplace=laplace,
         pattern=slots.pattern,
-        patches=_patches(patches, volume, tissue, blocks),
+        patches=_patches(patches, volume, tissue, slots, blocks),
         surface_nodes=surface_nodes,
         contact_nodes=surface_nodes[is_free[surface_nodes]],
         lame_lambda=-2.0 / 3.0 * tissue.shear
@@ -178,7 +178,7 @@ class _Slots(NamedTuple):
     total: int
 
 
-def _patches(found: Partition, volume: Floats, tissue: Tissue, blocks: Blocks) -> Patches:
+def _patches(found: Partition, volume: Floats, tissue: Tissue, slots: _Slots, blocks: Blocks) -> Patches:
     """What a Model has of patches."""
     whole, share = shares(found, volume)
     lanes = _side_by_side(found.of_tet) if len(whole) else np.empty((0, LANES), np.int64)
@@ -188,8 +188,11 @@ def _patches(found: Partition, volume: Floats, tissue: Tissue, blocks: Blocks) -
         lane=np.ascontiguousarray(lanes),
         tet_place=found.tet_place,
         tet_share=share,
+        start=found.start,
         node=found.node,
+        slot=slots.of_node[found.node],
         assembly=np.ascontiguousarray(blocks.patch_assembly),
+        place=blocks.patch_place,
     )
 
 

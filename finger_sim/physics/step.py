@@ -319,7 +319,8 @@ def locked_tets(model: Model, state: State) -> int:
     More rows hold them than they have ways to deform, or they are strained further along an axis than the others'
     limits allow at constant volume.
     """
-    active_rows, moves, strains, allowed = state.active_rows, model.tet_moves, state.E, model.isochoric_strain
+    active_rows, moves, allowed = state.active_rows, model.tet_moves, model.isochoric_strain
+    strains = state.limit_strain
     count = 0
     for t in range(active_rows.shape[0]):
         if active_rows[t] == 0:

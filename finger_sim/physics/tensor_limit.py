@@ -26,6 +26,7 @@ import numpy as np
 
 from ..arrays import Floats, Ints
 from .compile import formula, kernel, stage
+from .dilatation import mean_strains, part_of_patch, patch_rates
 from .jacobi import Symmetric, Vector, eigen, load_symmetric, store_vector
 from .lanes import (
     Lanes,
@@ -112,6 +113,17 @@ def gradient(R: Matrix, E: Symmetric, y: Vector) -> Matrix:
 
 
 @formula
+def less(M: Matrix, N: Matrix, by: Lanes) -> Matrix:
+    """M − N · by."""
+    a0, a1, a2, a3, a4, a5, a6, a7, a8 = M
+    b0, b1, b2, b3, b4, b5, b6, b7, b8 = N
+    return (
+        a0 - by * b0, a1 - by * b1, a2 - by * b2, a3 - by * b3, a4 - by * b4, a5 - by * b5, a6 - by * b6, a7 - by * b7,
+        a8 - by * b8,
+    )  # fmt: skip
+
+
+@formula
 def scaled(E: Symmetric, factors: Floats, side: int) -> Symmetric:
     """± A E A."""
     e0, e1, e2, e3, e4, e5 = E
@@ -140,7 +152,15 @@ def evaluate_tensor(F: Floats, factors: Floats, C: Floats, dC_dF: Floats) -> Non
 @kernel
 def find_near(model: Model, state: State) -> None:
     """What may be at a limit at the state's positions or a step later, into `near`; its eigenpairs into `eigen`."""
-    tensor, strains, factors, tets, count = state.tensor, state.E, model.limit_factors, model.tets.shape[0], 0
+    if model.patches.volume.shape[0] > 0:
+        mean_strains(model, state)
+    tensor, strains, factors, tets, count = (
+        state.tensor,
+        state.limit_strain,
+        model.limit_factors,
+        model.tets.shape[0],
+        0,
+    )
     bounds, near, pairs, gathered = tensor.bound, tensor.near, tensor.eigen, tensor.gathered
     whole = gathered.reshape((1, -1))
     for side in range(2):
@@ -176,7 +196,7 @@ def find_near(model: Model, state: State) -> None:
 def greatest_strain(model: Model, state: State) -> float:
     """The largest strain/limit; 1 is exactly at the limit. Exact, also where nothing is near."""
     greatest = 0.0
-    pairs, strains, factors, bounds = state.tensor.eigen, state.E, model.limit_factors, state.tensor.bound
+    pairs, strains, factors, bounds = state.tensor.eigen, state.limit_strain, model.limit_factors, state.tensor.bound
     for group in range((state.tensor.near_count[0] + 7) // 8):
         for a in range(3):
             for l in range(8):
@@ -197,7 +217,7 @@ def greatest_strain(model: Model, state: State) -> float:
 @kernel
 def all_strains(model: Model, state: State) -> None:
     """strain/limit of every tetrahedron into state.strain_ratio (T,); other projections have it there already."""
-    strains, factors, ratios = state.E, model.limit_factors, state.strain_ratio
+    strains, factors, ratios = state.limit_strain, model.limit_factors, state.strain_ratio
     if state.tensor.bound.shape[0] == 0:
         return
     ratios[:] = 0.0
@@ -298,6 +318,9 @@ def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
     J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key
     row_side, constant, shares = state.row_side, state.constant, state.compliance
     whole = tensor.gathered.reshape((1, -1))
+    patched, patches, rates = model.patches.volume.shape[0] > 0, model.patches.lane, state.patch_rate
+    if patched:
+        patch_rates(model, state, model.patches.node, velocities)
     for group in range((count + 7) // 8):
         _gather_tets(model, state, group)
         R = load_matrix(whole, 0)
@@ -316,7 +339,10 @@ def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
             y0, y1, y2 = load8(whole, 0, 24) * q0, load8(whole, 0, 25) * q1, load8(whole, 0, 26) * q2
             size = y0 * y0 + y1 * y1 + y2 * y2
             room = 1.0 / where(size > 0.0, size, splat8(1.0))
-            _node_gradients(gradient(R, E, (y0, y1, y2)), -load8(whole, 0, 27) * room, whole, lane_J)
+            slope = gradient(R, E, (y0, y1, y2))
+            if patched:
+                slope = less(slope, R, size * (1.0 / 3.0))
+            _node_gradients(slope, -load8(whole, 0, 27) * room, whole, lane_J)
             for l in range(min(8, count - 8 * group)):
                 if not (worth >> l) & 1:
                     continue
@@ -333,6 +359,8 @@ def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
                     force += sum3(j * j) if slot < nf else 0.0
                     store4(J, rows, n, j)
                     row_slot[rows, n] = slot
+                if patched:
+                    change += part_of_patch(1.0 - 2.0 * (entry % 2)) * rates[patches[t // 8, t % 8]]
                 ahead = C + h * change
                 near = (1.0 - NEAR) * lane(room, l)
                 if (near < C and ahead > near) or force <= least:

@@ -51,7 +51,7 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
     size = _sizes(model, len(positions))
     return State(
         **_body(model, size, positions),
-        **_told_and_reported(size),
+        **_told_and_reported(model, size),
         **_saved(model, size),
         work=np.zeros(len(WORK), np.int64),
         laps=np.zeros(7 if timed else 0),
@@ -83,7 +83,8 @@ def _body(model: Model, size: _Sizes, positions: Floats) -> dict[str, Any]:
     }
 
 
-def _told_and_reported(size: _Sizes) -> dict[str, Any]:
+def _told_and_reported(model: Model, size: _Sizes) -> dict[str, Any]:
+    strain = aligned(size.batches, 6, LANES)
     return {
         "plane_frame": np.eye(3),
         "plane_point": np.zeros(3),
@@ -97,7 +98,8 @@ def _told_and_reported(size: _Sizes) -> dict[str, Any]:
         "origin": np.zeros(3),
         "wrench": np.zeros(6),
         "R": aligned(size.batches, 9, LANES),
-        "E": aligned(size.batches, 6, LANES),
+        "E": strain,
+        "limit_strain": np.zeros_like(strain) if len(model.patches.volume) and size.tensor else strain,
         "inverted": np.zeros(1, np.int64),
         "strain_ratio": np.zeros(size.tets),
     }
@@ -128,6 +130,9 @@ def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
         "theta": np.zeros(len(model.patches.volume)),
         "pressure": aligned(size.batches if len(model.patches.volume) else 0, LANES),
         "G": aligned(len(model.patches.node), 4),
+        "patch_rate": np.zeros(len(model.patches.volume)),
+        "patch_force": np.zeros(len(model.patches.volume)),
+        "patch_cross": aligned(len(model.patches.node), 4),
         "rhs": aligned(size.slots, 4),
         "slot_velocity": aligned(size.slots, 4),
         "slot_product": aligned(size.slots, 4),
