@@ -116,6 +116,12 @@ def test_every_format_compares_equal_with_every_other(tmp_path: Path) -> None:
         assert compare(one, other, tolerance=0.0).equal, name
 
 
+def test_a_bag_and_its_copy_in_sqlite3_are_the_same_bit_by_bit(tmp_path: Path) -> None:
+    """sqlite3 keeps no numbers: a message is as many as it is on its topic."""
+    one, other = (made(name, plain(), tmp_path / name).path for name in ("mcap", "db3 schema 4"))
+    assert compare(one, other).equal
+
+
 def test_messages_can_be_read_again_and_by_topic(tmp_path: Path) -> None:
     for number, name in enumerate(name for name in FORMATS if name not in WITHOUT_PROMISE):
         recording = made(name, plain(), tmp_path / str(number))
