@@ -45,16 +45,16 @@ class Opened:
         metadata = path / "metadata.yaml"
         if not metadata.is_file():
             return {}
+        reason = "no rosbag2_bagfile_information"
         try:
             content = yaml.load(metadata.read_text(encoding="utf-8"), _LOADER)
             information = content["rosbag2_bagfile_information"]
             if isinstance(information, dict):
                 return information
-            reason = "no rosbag2_bagfile_information"
         except (yaml.YAMLError, ValueError, RecursionError) as error:
             reason = f"not YAML: {' '.join(str(error).split())}"
         except (TypeError, KeyError):
-            reason = "no rosbag2_bagfile_information"
+            pass
         self.notes.append(f"metadata.yaml is left out: {reason}")
         return {}
 

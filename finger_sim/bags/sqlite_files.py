@@ -158,8 +158,12 @@ class SqliteSource(Source):
             self.spans(min(file.times), max(file.times))
 
     def messages(self) -> Iterator[Message]:
+        """As of any source; the file numbers no messages, so each has its place on its topic."""
+        places: Counter[str] = Counter()
         try:
-            yield from heapq.merge(*map(self._of_file, self.files), key=lambda message: message.log_time)
+            for message in heapq.merge(*map(self._of_file, self.files), key=lambda message: message.log_time):
+                places[message.topic] += 1
+                yield message._replace(sequence=places[message.topic])
         except (OSError, *BROKEN, PackingError, ValueError) as error:
             raise BagError(f"{self.files[0].stored.name.parent}: changed while it was read: {error}") from None
 
@@ -179,8 +183,7 @@ def _cut_off(path: Path) -> list[str]:
     """Says so where a file has fewer pages than its head tells."""
     with path.open("rb") as stream:
         head = stream.read(32)
-    there, page, pages = path.stat().st_size, int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
-    whole = (1 << 16 if page == 1 else page) * pages
+    there, whole = path.stat().st_size, _page_size(head) * int.from_bytes(head[28:32], "big")
     return [f"cut off at byte {there} of {whole}"] if there < whole else []
 
 
@@ -189,10 +192,15 @@ def _whole_pages(file: Stored, scratch: Scratch) -> Stored:
     copy = scratch.place(file.path.name)
     shutil.copyfile(file.path, copy)
     with copy.open("r+b") as stream:
-        page = int.from_bytes(stream.read(18)[16:], "big")
-        size = copy.stat().st_size
-        stream.truncate(size - size % (1 << 16 if page == 1 else page))
+        page, size = _page_size(stream.read(18)), copy.stat().st_size
+        stream.truncate(size - size % page)
     return file._replace(path=copy)
+
+
+def _page_size(head: bytes) -> int:
+    """Bytes of a page, by the first bytes of a file; 1 stands for the largest."""
+    size = int.from_bytes(head[16:18], "big")
+    return 1 << 16 if size == 1 else size
 
 
 def _topics(connection: sqlite3.Connection) -> list[tuple[int, str, str, str]]:

@@ -163,13 +163,15 @@ class _Subscription:
     def take(self, now: int | None = None) -> list[tuple[bytes, int]]:
         """What came since the last call: CDR bytes, and the steady time of receipt [ns].
 
-        The middleware tells the time of receipt by the wall clock. Whatever that does, a message came after the last
-        look at all that there was, and by the present one: so a replay knows what each step had heard.
+        The middleware tells the time of receipt by the wall clock. Whatever that does, and however long it takes to
+        look at two clocks, a message came after the last look at all that there was, not before the message before it,
+        and by the present look: so a replay knows what each step had heard, and in which order.
         """
         out: list[tuple[bytes, int]] = []
+        received = self._looked + 1
         while (taken := take(self.entity)) is not None:
             present = time.monotonic_ns()
-            received = max(present - max(time.time_ns() - taken[1], 0), self._looked + 1)
+            received = max(present - max(time.time_ns() - taken[1], 0), received)
             out.append((taken[0], received if now is None else min(received, now)))
         self._looked = time.monotonic_ns() if now is None else now
         return out

@@ -25,8 +25,10 @@ def set_up() -> None:
 
 
 def logged(arguments: Sequence[str] | None) -> list[str]:
-    """Arguments for rclpy.init, None standing for this process's own. Where ROS could not write its log files, which
-    would end the process, they say that it is to write none; stderr tells."""
+    """Arguments for rclpy.init; None: this process's own.
+
+    Where ROS could not write its log files, which would end the process, it is told to write none; stderr says so.
+    """
     given = list(sys.argv if arguments is None else arguments)
     home = Path(os.environ.get("ROS_HOME") or Path(os.environ.get("HOME", "/")) / ".ros")
     folder = Path(os.environ.get("ROS_LOG_DIR") or home / "log").expanduser()

@@ -116,6 +116,29 @@ def test_every_format_compares_equal_with_every_other(tmp_path: Path) -> None:
         assert compare(one, other, tolerance=0.0).equal, name
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "lost"),
+    [
+        ("mcap", "plain", 0),
+        ("mcap", "several_publishers", 0),
+        ("mcap", "numbers_mixed", None),
+        ("db3 schema 4", "plain", None),
+    ],
+)
+def test_missing_numbers_are_claimed_where_one_writer_numbers(
+    name: str, content: str, lost: int | None, tmp_path: Path
+) -> None:
+    recording = made(name, CONTENTS[content](), tmp_path)
+    (commands,) = (topic for topic in BagReader(recording.path).topics if topic.name == COMMANDS)
+    assert commands.lost == lost
+
+
+def test_a_bag_and_its_copy_in_sqlite3_are_the_same_bit_by_bit(tmp_path: Path) -> None:
+    """sqlite3 keeps no numbers: a message is as many as it is on its topic."""
+    one, other = (made(name, plain(), tmp_path / name).path for name in ("mcap", "db3 schema 4"))
+    assert compare(one, other).equal
+
+
 def test_messages_can_be_read_again_and_by_topic(tmp_path: Path) -> None:
     for number, name in enumerate(name for name in FORMATS if name not in WITHOUT_PROMISE):
         recording = made(name, plain(), tmp_path / str(number))

@@ -384,7 +384,7 @@ def test_a_long_recording_goes_on_in_new_files(client):
 
 @pytest.mark.slow
 def test_a_full_disk_ends_the_recording_not_the_node(client, node):
-    """Diagnostics, log and service say why; what was written is readable; with room again recording works again.
+    """Diagnostics, log and service say why; the bag is finished and says so; with room again recording works again.
 
     A limit on the size of the files of the process that writes stands for the disk: the system refuses more.
     """
@@ -392,10 +392,10 @@ def test_a_full_disk_ends_the_recording_not_the_node(client, node):
     answer = client.call(SetBool, "/finger/record", SetBool.Request(data=True))
     path = Path(answer.message.removeprefix("recording "))
     writer = bag_process(node.process.pid)
-    before = resource.prlimit(writer, resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
+    before = resource.prlimit(writer, resource.RLIMIT_FSIZE, (400_000, resource.RLIM_INFINITY))
     try:
         press = lambda: client.command(-0.0003)  # noqa: E731
-        client.until(lambda: "recording stopped" in client.reports[-1].status[0].message, press)
+        client.until(lambda: client.reports and "recording stopped" in client.reports[-1].status[0].message, press)
         status, values = client.report(press)
     finally:
         resource.prlimit(writer, resource.RLIMIT_FSIZE, before)
@@ -408,7 +408,9 @@ def test_a_full_disk_ends_the_recording_not_the_node(client, node):
     assert not answer.success
     assert "File too large" in answer.message
     reader = BagReader(path)
-    assert reader.truncated
+    assert reader.warning is None
+    assert reader.cut is not None and "File too large" in reader.cut
+    assert {file.name for file in path.iterdir()} == {f"{path.name}_0.mcap", "metadata.yaml"}
     assert {t.name: t.count for t in reader.topics}["/contact_wrench"] > 50
     assert all(topic.lost == 0 for topic in reader.topics)
     _, later = client.report(press)

@@ -167,8 +167,8 @@ def test_a_recording_replays_to_the_last_bit(tmp_path):
     bag, scene = tmp_path / "bag", write_block(tmp_path)
     arguments = ("-p", f"scene:={scene}", "-p", "mode:=triggered", "-p", f"record:={bag}")
     with NodeProcess(tmp_path / "log", *arguments) as node, Client(node.domain) as client:
+        poses = client.collect(PoseStamped, "pose")  # while the node loads, so that it knows of it by the first command
         node.wait_for("ready after")
-        poses = client.collect(PoseStamped, "pose")
         client.until(lambda: client.node.count_publishers("pose"))
         for k in range(100):
             message = numbered(k, press(k))
