@@ -140,7 +140,7 @@ def make_bags(folder: str | Path, mesh: TetMesh | None = None) -> list[Path]:
     mesh : finger to place over the plane, the shipped one if left out
     Raises BagError when one of the bags is there already.
     """
-    points = (mesh or TetMesh.load(shipped("config") / "meshes" / "finger.vtu")).points
+    points = (mesh or TetMesh.load(shipped("config") / "meshes" / "finger_paper.vtu")).points
     made = []
     for seed, (name, (orientation, strokes)) in enumerate(STROKES.items()):
         n = round(sum(stroke.duration for stroke in strokes) * RATE) + 1

@@ -68,8 +68,7 @@ class Material:
     damping: Damping = field("part", "Rayleigh damping", default=Damping(), part=Damping)
     volumetric: Literal["element", "patch"] = field(
         "choice",
-        "What has one volume strain: each tetrahedron, as in the paper, which locks where volume is all but kept; or "
-        "patches of some four",
+        "what shares one volume strain: each tetrahedron alone, the paper's, which locks near ν = 0.5; patches of them",
         default="element",
         choices=("element", "patch"),
     )

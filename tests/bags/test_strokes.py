@@ -96,7 +96,7 @@ def test_shipped_bag(name: str) -> None:
     np.testing.assert_allclose(commands.receipt, commands.stamp, atol=1e-12)
     assert (commands.frame_id, commands.refused, commands.start) == ("world", 0, START)
     np.testing.assert_allclose(commands.orientation, [STROKES[name][0]] * len(commands), atol=1e-15)
-    points = TetMesh.load(shipped("config") / "meshes" / "finger.vtu").points
+    points = TetMesh.load(shipped("config") / "meshes" / "finger_paper.vtu").points
     height = commands.position[:, 2] - touch_height(points, STROKES[name][0])
     depth = 1e-3 if name == "press_side" else 2e-3
     np.testing.assert_allclose(height.min(), -depth, atol=1.1 * TREMOR)

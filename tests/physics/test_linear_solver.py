@@ -105,7 +105,7 @@ def test_panels_of_many_shapes(name: str) -> None:
 
 def test_the_shipped_finger() -> None:
     """A⁻¹ y on the graph of the shipped mesh, held at nothing: the sizes of panels that a step meets."""
-    mesh = TetMesh.load(Path(__file__).parents[2] / "config" / "meshes" / "finger.vtu")
+    mesh = TetMesh.load(Path(__file__).parents[2] / "config" / "meshes" / "finger_paper.vtu")
     edges = sorted({e for tet in mesh.tets for e in clique(tet)})
     rng = np.random.default_rng(8)
     graph, A = system_on(rng, len(mesh.points), edges, 1.0)

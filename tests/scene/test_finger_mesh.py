@@ -36,8 +36,8 @@ from finger_sim.scene.resources import shipped
 Array = NDArray[np.float64]
 
 needs_gmsh = pytest.mark.skipif(find_spec("gmsh") is None, reason="gmsh makes finger meshes")
-WHOLE = {f"hollow_{tets}": tets for tets in (500, 1000, 2000, 4000, 16000)}
-SHIPPED = {**WHOLE, "hollow_distal_1000": 1000}
+WHOLE = {"finger_500": 500, "finger": 1000, "finger_2000": 2000, "finger_4000": 4000, "finger_16000": 16000}
+SHIPPED = {**WHOLE, "finger_distal": 1000}
 every_finger = pytest.mark.parametrize("name", SHIPPED)
 ON_SURFACE = 1e-9  # of the level, 1 on a surface
 
@@ -199,12 +199,12 @@ def test_the_volume_converges_to_that_of_the_formulas() -> None:
     assert errors[-1] < 0.015
     assert all(later < 1.05 * earlier for earlier, later in itertools.pairwise(errors))
     tip = volume_within(SKIN, DISTAL_CUT) - volume_within(BONE, DISTAL_CUT)
-    assert 1e9 * mesh_of("hollow_distal_1000").volumes.sum() == pytest.approx(tip, rel=0.05)
+    assert 1e9 * mesh_of("finger_distal").volumes.sum() == pytest.approx(tip, rel=0.05)
 
 
 def test_measures_of_a_finger() -> None:
     """7 cm long, as broad and deep at the joints as a finger, bone to 3.8 mm from the tip, pulp 4 to 6 mm."""
-    mesh = mesh_of("hollow_4000")
+    mesh = mesh_of("finger_4000")
     x, y, z = millimetres(mesh).T
     assert np.ptp(x) == pytest.approx(70.0, abs=0.02)
     assert TIP - millimetres(mesh, "bone")[:, 0].max() == pytest.approx(3.8, abs=0.02)
@@ -268,7 +268,7 @@ def test_an_edge_that_is_cut_is_cut_in_all_its_tets() -> None:
 @needs_gmsh
 def test_what_is_shipped_is_what_the_command_makes(tmp_path: Path) -> None:
     """The fingertip alone, of the same size and shape whatever the version of gmsh."""
-    made, kept = write_mesh("finger", tmp_path / "tip.vtu", tets=1000, distal=True), mesh_of("hollow_distal_1000")
+    made, kept = write_mesh("finger", tmp_path / "tip.vtu", tets=1000, distal=True), mesh_of("finger_distal")
     assert len(made.tets) == pytest.approx(1000, rel=0.05)
     assert made.volumes.sum() == pytest.approx(kept.volumes.sum(), rel=0.05)
     assert np.degrees(made.min_dihedral_angles.min()) >= 12.0

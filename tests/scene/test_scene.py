@@ -23,7 +23,13 @@ SHIPPED = sorted(path.stem for path in CONFIG.glob("*.yaml"))
 FULL: dict[str, Any] = {
     "mesh": {"beam": {"size": [0.4, 0.2, 0.2], "cells": [2, 1, 1]}},
     "driven": "base",
-    "material": {"density": 900.0, "young": 2e4, "poisson": 0.3, "damping": {"mass": 0.5, "stiffness": 0.01}},
+    "material": {
+        "density": 900.0,
+        "young": 2e4,
+        "poisson": 0.3,
+        "volumetric": "patch",
+        "damping": {"mass": 0.5, "stiffness": 0.01},
+    },
     "limits": {
         "projection": "hyperbolic",
         "stretch": [1.1, None, 1.3],
@@ -171,7 +177,7 @@ def test_wrong_number_of_components() -> None:
 
 def test_texts_and_choices() -> None:
     """A text or choice key refuses anything else; a choice names what there is to choose from."""
-    assert len(TEXTS) == 6
+    assert len(TEXTS) == 7
     for key in TEXTS:
         for bad in (3, 1.5, True, ["a"], {"a": 1}):
             assert refused_key(key, bad).key == key
@@ -242,7 +248,7 @@ def test_what_is_left_out_is_not_there() -> None:
 # As architecture.md's example and physics.md have them.
 DEFAULTS: list[tuple[type, dict[str, Any]]] = [
     (Scene, {"driven": None, "limits": None, "plane": None, "gravity": (0.0, 0.0, -9.81), "dt": 0.001, "substeps": 1}),
-    (Material, {"density": 1000.0, "young": 2.0e6, "poisson": 0.4}),
+    (Material, {"density": 1000.0, "young": 2.0e6, "poisson": 0.4, "volumetric": "element"}),
     (Damping, {"mass": 0.0, "stiffness": 0.002}),
     (Limits, {"projection": "hyperbolic", "stiffness": 30.0, "stretch": (None,) * 3, "compress": (None,) * 3}),
     (Plane, {"point": (0, 0, 0), "normal": (0, 0, 1), "friction": 0.5}),

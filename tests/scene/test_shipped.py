@@ -55,7 +55,7 @@ def test_files_of_the_user_come_first(here: Path) -> None:
 
 def test_info_finds_shipped_meshes(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """By file name, with its folder, and without suffix where no scene has that name."""
-    for name, tets in (("finger.vtu", 350), ("meshes/finger.vtu", 350), ("finger_2000", 2024)):
+    for name, tets in (("finger.vtu", 1008), ("meshes/finger.vtu", 1008), ("finger_paper.vtu", 350)):
         assert main(["info", name]) == 0
         out = capsys.readouterr().out
         assert out.startswith("mesh ")
@@ -69,7 +69,7 @@ def test_what_is_not_there_is_said_with_what_ships(here: Path, name: str, capsys
         Scene.load(name)
     with pytest.raises(BagError, match=r"no such bag.*press_flat, press_side, press_slide$"):
         find_bag(name)
-    with pytest.raises(SceneError, match=r"finger\.vtu, finger_10000\.vtu"):
+    with pytest.raises(SceneError, match=r"finger\.vtu, finger_16000\.vtu"):
         Scene.from_dict({"mesh": {"file": name}})
     assert main(["info", name]) == 2
     said = capsys.readouterr().err

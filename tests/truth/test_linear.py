@@ -28,7 +28,7 @@ from truth.problems import (
     of_nodes,
 )
 
-MESH = Path(__file__).parents[2] / "config" / "meshes" / "finger.vtu"
+MESH = Path(__file__).parents[2] / "config" / "meshes" / "finger_paper.vtu"
 
 
 def irregular() -> tuple[np.ndarray, np.ndarray]:

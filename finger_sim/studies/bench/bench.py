@@ -51,7 +51,7 @@ CONTENDERS = {
     350: [("limits", "newton"), ("limits", "lagged"), ("limits", "pgs"), ("limited", "newton"),
           ("limited", "lagged"), ("limited", "pgs"), ("no limits", "newton")],
     2000: [("limits", "newton"), ("limits", "lagged"), ("limited", "newton")],
-    10000: [("limits", "newton"), ("limits", "lagged"), ("limited", "newton")],
+    4000: [("limits", "newton"), ("limits", "lagged"), ("limited", "newton")],
 }  # fmt: skip
 """Our own at each size: (scene, solver)."""
 STAGED = [("limits", "newton"), ("limits", "lagged"), ("limited", "newton")]
@@ -68,7 +68,7 @@ START_SCENE = "finger_haptic"
 class Options:
     """What to run."""
 
-    sizes: tuple[int, ...] = (350, 2000, 10000)
+    sizes: tuple[int, ...] = (350, 1000, 2000, 4000)
     repeats: int = 3
     scale: float = 1.0  # of the steps that SCALES leaves
     cpu: int | None = None  # None: the last allowed one

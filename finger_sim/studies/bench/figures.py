@@ -216,7 +216,7 @@ def figures(records: Records, extras: Mapping[str, tuple[float, str]]) -> list[F
         over("cheapest level (lagged), press + slide", (0.08, 0.03), to(350, "limits", "lagged", touching)),
         extra("p99/median of a step, to that of fixed work", "p99", "×", 1.5, 1.1),
         over("2,000 tets, press + slide", (1.2, 0.5), to(2000, "limits", "newton", touching)),
-        _rate(records, 10000, touching),
+        _rate(records, 4000, touching),
         _speed_up(records, touching),
         extra("allocations of compiled code", "allocations", "a step", 0.0, 0.0),
         extra("process start to ready, nothing compiled", "cold", "s", 40.0, 20.0),

@@ -17,7 +17,12 @@ from ...scene.resources import shipped
 from ...simulation.simulator import Simulator
 from .peers import Peer, PeerCase
 
-MESHES = {350: "meshes/finger.vtu", 2000: "meshes/finger_2000.vtu", 10000: "meshes/finger_10000.vtu"}
+MESHES = {
+    350: "meshes/finger_paper.vtu",
+    1000: "meshes/finger.vtu",
+    2000: "meshes/finger_2000.vtu",
+    4000: "meshes/finger_4000.vtu",
+}
 """Shipped meshes, by about how many tetrahedra they have."""
 FLAT = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 """Orientation of the finger with its pad on the table."""
@@ -62,7 +67,7 @@ PHASES = ("air", "press", "slide")
 """Sideways in free air; straight down, then held; along the table."""
 AIR, HOLD, SLIDE = 100, 100, 250
 """Steps of the phases at full length, without those of the way down."""
-SCALES = {10000: 0.1}
+SCALES = {4000: 0.2}
 """Share of AIR, HOLD and SLIDE run at a size; 1 where not named."""
 
 CANTILEVER = "beam_stiff"

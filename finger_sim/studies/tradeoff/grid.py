@@ -167,12 +167,12 @@ DEFAULT = Grid(
         {"mesh.file": "meshes/finger_2000.vtu"},
         {"mesh.file": "meshes/finger_2000.vtu", "solver.level": "lagged"},
         {"mesh.file": "meshes/finger_2000.vtu", "dt": 4e-3},
-        {"mesh.file": "meshes/finger_10000.vtu", "dt": 2e-3},
+        {"mesh.file": "meshes/finger_4000.vtu", "dt": 2e-3},
     ),
     fits_all=True,
 )
 """For the shipped finger scenes; for others what of it fits."""
-FINGER = "finger.vtu"
+FINGER = "finger_paper.vtu"
 """Mesh that has finer ones of the same body."""
 
 

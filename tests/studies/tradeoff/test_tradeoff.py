@@ -451,7 +451,7 @@ def test_a_scene_comes_back_as_it_was_written(block, name):
     assert max(map(len, lines)) <= 120
     assert "deadline" not in file.read_text()
     if name == "finger_haptic":
-        assert portable(scene)["mesh"] == {"file": "meshes/finger.vtu"}
+        assert portable(scene)["mesh"] == {"file": "meshes/finger_paper.vtu"}
 
 
 def test_every_module_that_a_job_imports_is_in_its_key():
