@@ -62,6 +62,7 @@ class Model(NamedTuple):
     driven: Ints  # (nd,) driven nodes
     tet_slot: Ints  # (T, 4) slots of a tetrahedron's nodes
     tet_place: Ints  # (T, 10) block of the factorisation that each node pair adds to, −1: none (a driven node)
+    tet_block: Ints  # (T, 10) block of A that it adds to, −1: none
     pair_row: Ints  # (T, 10) node (0 … 3) at the block's row
     pair_column: Ints  # (T, 10) node (0 … 3) at the block's column
     tet_order: Ints  # (T,) tetrahedra by their first slot: neighbouring rows share work in solves

@@ -10,6 +10,7 @@ from .bone import aim_bone, move_bone, place_driven
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
+from .dilatation import part_of_patch, share_out
 from .elasticity import assemble
 from .hessian import factor_elastic
 from .kinematics import kinematics, turned_far
@@ -289,17 +290,25 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
             store8(limit_force, b, 0, splat8(0.0))
         active_rows[:] = 0
         limit_rows = limited_tets = 0
+        patched = follows and model.patches.volume.shape[0] > 0
+        lanes, sums = model.patches.lane, state.patch_force
+        if patched:
+            sums[:] = 0.0
         for row in range(contacts, rows):
             if lam[row] > 0.0:
                 t, key = row_tet[row], row_key[row]
                 if follows:
                     limit_force[t // 8, t % 8] += lam[row]
+                    if patched:
+                        sums[lanes[t // 8, t % 8]] += abs(part_of_patch(row_side[row])) * lam[row]
                 if keeps:
                     warm[t, key] = lam[row] * row_side[row]
                 if key < counted:
                     limit_rows += 1
                     limited_tets += active_rows[t] == 0
                     active_rows[t] += 1
+        if patched:
+            share_out(model, state)
         result[LOCKED_TETS] = locked = locked_tets(model, state)
         if locked > 0 or limit_rows > 3 * model.free.shape[0]:
             status |= _LOCKED
