@@ -21,8 +21,8 @@ from .model import Model, State
 from .newton import newton
 from .pgs import apply_rows, inverse_between, solve_rows, touched_nodes
 from .rows import finish_rows
-from .strain_limits import limit_rows, strain_ratio
-from .tensor_limit import DIRECTIONS, find_near, greatest_strain, tensor_rows
+from .strain_limits import find_bounded, limit_rows, strain_ratio
+from .tensor_limit import DIRECTIONS, greatest_strain, tensor_rows
 from .vectors import add, copy
 from .work import CONTACT_ROWS, LIMITS, LINEAR
 
@@ -114,8 +114,8 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
     kinematics(model, state)
     lap(state.laps, state.time, KINEMATICS)
     state.age[0] = (state.age[0] + 1) % model.hold
-    if model.projection == TENSOR:
-        find_near(model, state)
+    if model.projection != NONE:
+        find_bounded(model, state)
     lap(state.laps, state.time, ROWS)
     state.result[SPEED] = fastest
     observe(model, state, contacts, rows)
@@ -159,10 +159,10 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
     if model.method == NEWTON:
         iterations, residual, definite = newton(model, state, h, contacts, rows, anew, tolerance)
     elif rows > 0:
-        touched = touched_nodes(model, state, rows)
-        inverse_between(model, state, touched)
-        iterations, residual = solve_rows(model, state, h, contacts, rows, touched)
-        apply_rows(model, state, rows)  # v = v_free + h A⁻¹ Jᵀ λ
+        touched, patches = touched_nodes(model, state, contacts, rows)
+        inverse_between(model, state, touched, patches)
+        iterations, residual = solve_rows(model, state, h, contacts, rows, 3 * touched + patches)
+        apply_rows(model, state, contacts, rows)  # v = v_free + h A⁻¹ Jᵀ λ
     if not residual <= model.tolerance:
         status |= _ITERATION_LIMIT
     result = state.result
@@ -181,8 +181,8 @@ def relinearise(model: Model, state: State, targets: Floats, h: float, again: in
     copy(state.v_base, state.v)
     integrate(model, state, targets, h)
     kinematics(model, state)
-    if model.projection == TENSOR:
-        find_near(model, state)
+    if model.projection != NONE:
+        find_bounded(model, state)
 
 
 @stage
