@@ -8,6 +8,9 @@ One sweep updates each row by its own diagonal of W. W itself is never formed: t
 the nodes that rows touch. A row reads its g from its own nodes, and adds its column h A⁻¹ J_iᵀ to u when its force
 changes, so that a row at rest off its limit costs a dozen products. The columns come from S, the block of A⁻¹
 between touched nodes, each when first needed.
+
+What a limit row has at all nodes of its patch, α G (dilatation.py), is one entry more of the row: the patch's rate
+θ̇ = G u is kept in u beside its nodes, and S has it as one more row and column, G A⁻¹ and G A⁻¹ Gᵀ.
 """
 
 from __future__ import annotations
@@ -17,7 +20,8 @@ from typing import NamedTuple
 
 from ..arrays import Floats, Ints
 from .compile import kernel, stage
-from .linear_solver import NODES_AT_ONCE, solve, solve_many
+from .dilatation import add_patch_forces
+from .linear_solver import NODES_AT_ONCE, SIDES_AT_ONCE, solve, solve_many
 from .model import Model, State
 from .vectors import clear, copy_first
 
@@ -25,8 +29,10 @@ _CHECK = 16  # the residual is taken after a sweep that changed little enough to
 
 
 @stage
-def touched_nodes(model: Model, state: State, rows: int) -> int:
+def touched_nodes(model: Model, state: State, contacts: int, rows: int) -> tuple[int, int]:
     """Number the slots that the first `rows` rows touch, in slot order: state.pgs.touched and row_local. Their count.
+
+    And the count of patches that limit rows, those from `contacts` on, touch: see touched_patches.
 
     row_local is where a node's three components are in u; those of driven nodes, or none, are past the others and 0.
     """
@@ -43,19 +49,44 @@ def touched_nodes(model: Model, state: State, rows: int) -> int:
             local[k] = count
             touched[count] = k
             count += 1
+    patches = touched_patches(model, state, contacts, rows, 3 * count)
     for row in range(rows):
         for n in range(4):
             k = row_slot[row, n]
-            row_local[row, n] = 3 * (local[k] if k < local.shape[0] else count)
+            row_local[row, n] = 3 * local[k] if k < local.shape[0] else 3 * count + patches
+    return count, patches
+
+
+@stage
+def touched_patches(model: Model, state: State, contacts: int, rows: int, first: int) -> int:
+    """Number the patches of limit rows: state.pgs.touched_patch and row_rate, from `first` on. Their count."""
+    local, touched, row_rate, row_part = (
+        state.pgs.local_patch, state.pgs.touched_patch, state.pgs.row_rate, state.row_part
+    )  # fmt: skip
+    patches, row_tet, count = model.patches.lane, state.row_tet, 0
+    if local.shape[0] == 0:
+        return 0
+    local[:] = -1
+    for row in range(contacts, rows):
+        t = row_tet[row]
+        p = patches[t // 8, t % 8]
+        if local[p] < 0:
+            local[p] = count
+            touched[count] = p
+            count += 1
+        row_rate[row] = first + local[p]
+    for row in range(contacts):
+        row_rate[row], row_part[row] = first + count, 0.0
     return count
 
 
 @stage
-def inverse_between(model: Model, state: State, count: int) -> None:
-    """S (3 count, 3 count): the symmetric block of A⁻¹ between touched nodes, some of its columns at a time."""
+def inverse_between(model: Model, state: State, count: int, patches: int) -> None:
+    """S: the symmetric block of A⁻¹ between touched nodes, some of its columns at a time; then touched patches."""
     Y, touched, reached = state.pgs.Y, state.pgs.touched, state.pgs.reached
     pattern, lower, inverse = model.pattern, state.L_lower, state.L_inverse
-    S = state.pgs.S[: 9 * count * count].reshape((3 * count, 3 * count))
+    size = 3 * count + patches
+    S = state.pgs.S[: size * size].reshape((size, size))
     for start in range(0, count, NODES_AT_ONCE):
         first = touched[start]
         Y[first:] = 0.0
@@ -72,19 +103,58 @@ def inverse_between(model: Model, state: State, count: int) -> None:
                 for l in range(3 * width):
                     S[3 * a + i, 3 * start + l] = Y[k, i, l]
                     S[3 * start + l, 3 * a + i] = Y[k, i, l]
+    if patches > 0:
+        inverse_of_patches(model, state, S, count, patches)
 
 
 @stage
-def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: int, count: int) -> tuple[int, float]:
+def inverse_of_patches(model: Model, state: State, S: Floats, count: int, patches: int) -> None:
+    """The rows and columns of S that touched patches have: A⁻¹ Gᵀ at touched nodes, and G A⁻¹ Gᵀ."""
+    Y, touched, touched_patch, reached = state.pgs.Y, state.pgs.touched, state.pgs.touched_patch, state.pgs.reached
+    pattern, lower, inverse, nf = model.pattern, state.L_lower, state.L_inverse, model.free.shape[0]
+    entries, slots, G, own = model.patches.start, model.patches.slot, state.G, 3 * count
+    first = touched[0] if count > 0 else nf
+    for q in range(patches):
+        for k in range(entries[touched_patch[q]], entries[touched_patch[q] + 1]):
+            first = min(first, slots[k])
+    for start in range(0, patches, SIDES_AT_ONCE):
+        Y[first:] = 0.0
+        reached[first:] = 0
+        width = min(SIDES_AT_ONCE, patches - start)
+        for l in range(width):
+            p = touched_patch[start + l]
+            for k in range(entries[p], entries[p + 1]):
+                if slots[k] < nf:
+                    reached[slots[k]] = 1
+                    for i in range(3):
+                        Y[slots[k], i, l] = G[k, i]
+        solve_many(pattern, lower, inverse, first, reached, Y)
+        for a in range(count):
+            for i in range(3):
+                for l in range(width):
+                    S[3 * a + i, own + start + l] = S[own + start + l, 3 * a + i] = Y[touched[a], i, l]
+        for q in range(start, patches):
+            S[own + q, own + start : own + start + width] = 0.0
+            for k in range(entries[touched_patch[q]], entries[touched_patch[q] + 1]):
+                if slots[k] < nf:
+                    for i in range(3):
+                        for l in range(width):
+                            S[own + q, own + start + l] += G[k, i] * Y[slots[k], i, l]
+            for l in range(width):
+                S[own + start + l, own + q] = S[own + q, own + start + l]
+
+
+@stage
+def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: int, size: int) -> tuple[int, float]:
     """Row forces into state.lam[:rows], warm-started from what is there. Returns (sweeps, residual).
 
     The residual is the largest change any row's force would still need on its own (its violation or lack of
     complementarity over its diagonal of W), as nodal force relative to the largest one. When the sweeps run out,
-    the iterate with the least residual is kept. On return state.J holds h J.
+    the iterate with the least residual is kept. size: unknowns of S. On return state.J holds h J, row_part h α.
     """
     pgs, J, lam, best, compliance = state.pgs, state.J, state.lam, state.best, state.compliance
     nodes, u, diagonal, cross, has_column = pgs.row_local, pgs.u, pgs.diagonal, pgs.cross, pgs.has_column
-    size = 3 * count
+    part, rates = state.row_part, pgs.row_rate
     S = pgs.S[: size * size].reshape((size, size))
     Z = pgs.Z[: rows * size].reshape((rows, size))
     u[: size + 3] = 0.0
@@ -94,16 +164,19 @@ def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: in
                 J[row, n, i] *= h
         has_column[row] = 0
         diagonal[row] = _product(S, J, nodes, row, row) + compliance[row]
+        if part.shape[0] > 0:
+            part[row] *= h
+            diagonal[row] += _square_of_patch(S, J, nodes, row, part[row], rates[row])
     for row in range(0, contact_rows, 3):
         cross[row + 1] = _product(S, J, nodes, row + 1, row + 2)
     system = System(
-        J, nodes, state.constant, compliance, diagonal, cross, state.scale, lam, u,
+        J, nodes, part, rates, state.constant, compliance, diagonal, cross, state.scale, lam, u,
         has_column, S, Z,
     )  # fmt: skip
     for row in range(rows):
         if lam[row] != 0.0:
             has_column[row] = 1
-            _make_column(S, J, nodes, row, Z[row])
+            _make_column(system, row, Z[row])
             _add(u, Z[row], lam[row])
 
     floor = model.least_force
@@ -132,6 +205,8 @@ class System(NamedTuple):
 
     J: Floats
     nodes: Ints
+    part: Floats
+    rates: Ints
     constant: Floats
     compliance: Floats
     diagonal: Floats
@@ -151,21 +226,21 @@ def visit(system: System, mu_friction: float, contact_rows: int, rows: int, upda
     A limit or a normal wants max(0, λ − g / W_ii), two tangents want `tangents`. Returns the largest difference and
     the largest force, as nodal forces [N].
     """
-    J, nodes, lam, u, S, Z = system.J, system.nodes, system.lam, system.u, system.S, system.Z
+    lam, u, Z = system.lam, system.u, system.Z
     constant, compliance, diagonal = system.constant, system.compliance, system.diagonal
     worst = largest = 0.0
     along_1 = along_2 = 0.0
     for row in range(rows):
         axis = row % 3 if row < contact_rows else 0
         if axis == 0:
-            g = constant[row] + compliance[row] * lam[row] + _dot(J, nodes, row, u)
+            g = constant[row] + compliance[row] * lam[row] + _dot(system, row)
             wanted = max(0.0, lam[row] - g / diagonal[row])
             largest = max(largest, lam[row] * system.scale[row])
         elif axis == 1:
             along_1, along_2 = tangents(
                 mu_friction * lam[row - 1], lam[row], lam[row + 1],
-                constant[row] + compliance[row] * lam[row] + _dot(J, nodes, row, u),
-                constant[row + 1] + compliance[row + 1] * lam[row + 1] + _dot(J, nodes, row + 1, u),
+                constant[row] + compliance[row] * lam[row] + _dot(system, row),
+                constant[row + 1] + compliance[row + 1] * lam[row + 1] + _dot(system, row + 1),
                 diagonal[row], diagonal[row + 1], system.cross[row],
             )  # fmt: skip
             wanted = along_1
@@ -177,7 +252,7 @@ def visit(system: System, mu_friction: float, contact_rows: int, rows: int, upda
             lam[row] = wanted
             if system.has_column[row] == 0:
                 system.has_column[row] = 1
-                _make_column(S, J, nodes, row, Z[row])
+                _make_column(system, row, Z[row])
             _add(u, Z[row], change)
     return worst, largest
 
@@ -206,8 +281,9 @@ def tangents(
 
 
 @kernel
-def _dot(J: Floats, nodes: Ints, row: int, u: Floats) -> float:
+def _dot(system: System, row: int) -> float:
     """h J A⁻¹ (…)ᵀ of one row: its gradient times u at its own nodes."""
+    J, nodes, u = system.J, system.nodes, system.u
     a, b, c, d = nodes[row, 0], nodes[row, 1], nodes[row, 2], nodes[row, 3]
     total: float = (
         (J[row, 0, 0] * u[a] + J[row, 0, 1] * u[a + 1] + J[row, 0, 2] * u[a + 2])
@@ -215,12 +291,15 @@ def _dot(J: Floats, nodes: Ints, row: int, u: Floats) -> float:
         + (J[row, 2, 0] * u[c] + J[row, 2, 1] * u[c + 1] + J[row, 2, 2] * u[c + 2])
         + (J[row, 3, 0] * u[d] + J[row, 3, 1] * u[d + 1] + J[row, 3, 2] * u[d + 2])
     )
+    if system.part.shape[0] > 0:
+        total += system.part[row] * u[system.rates[row]]
     return total
 
 
 @kernel
-def _make_column(S: Floats, J: Floats, nodes: Ints, row: int, column: Floats) -> None:
-    """column = A⁻¹ (h J)ᵀ of one row, at the touched nodes."""
+def _make_column(system: System, row: int, column: Floats) -> None:
+    """column = A⁻¹ (h J)ᵀ of one row, at the touched nodes, and what that is to the touched patches."""
+    S, J, nodes = system.S, system.J, system.nodes
     size = S.shape[0]
     column[:] = 0.0
     for n in range(4):
@@ -230,6 +309,10 @@ def _make_column(S: Floats, J: Floats, nodes: Ints, row: int, column: Floats) ->
             x, y, z = S[k], S[k + 1], S[k + 2]
             for i in range(size):
                 column[i] += a * x[i] + b * y[i] + c * z[i]
+    if system.part.shape[0] > 0 and system.rates[row] < size:
+        a, x = system.part[row], S[system.rates[row]]
+        for i in range(size):
+            column[i] += a * x[i]
 
 
 @kernel
@@ -256,10 +339,25 @@ def _product(S: Floats, J: Floats, nodes: Ints, row: int, other: int) -> float:
     return total
 
 
+@kernel
+def _square_of_patch(S: Floats, J: Floats, nodes: Ints, row: int, part: float, rate: int) -> float:
+    """What the part of its patch adds to `_product` of a row with itself: 2 (h J) A⁻¹ (h α G)ᵀ + (h α)² G A⁻¹ Gᵀ."""
+    if rate >= S.shape[0]:
+        return 0.0
+    total = part * S[rate, rate]
+    for n in range(4):
+        a = nodes[row, n]
+        if a < S.shape[0]:
+            for i in range(3):
+                total += 2.0 * J[row, n, i] * S[a + i, rate]
+    return part * total
+
+
 @stage
-def apply_rows(model: Model, state: State, rows: int) -> None:
-    """Add A⁻¹ (h J)ᵀ λ to the velocities of all free nodes; state.J holds h J since `solve_rows`."""
+def apply_rows(model: Model, state: State, contacts: int, rows: int) -> None:
+    """Add A⁻¹ (h J)ᵀ λ to the velocities of all free nodes; state.J holds h J, row_part h α since `solve_rows`."""
     y, lam, J, row_slot, v, free = state.rhs, state.lam, state.J, state.row_slot, state.v, model.free
+    sums, row_tet, patches = state.patch_force, state.row_tet, model.patches.lane
     clear(y)
     for row in range(rows):
         force = lam[row]
@@ -268,6 +366,12 @@ def apply_rows(model: Model, state: State, rows: int) -> None:
                 k = row_slot[row, n]
                 for i in range(3):
                     y[k, i] += force * J[row, n, i]
+    if state.row_part.shape[0] > 0:
+        sums[:] = 0.0
+        for row in range(contacts, rows):
+            t = row_tet[row]
+            sums[patches[t // 8, t % 8]] += lam[row] * state.row_part[row]
+        add_patch_forces(model, state, 1.0, y)
     solve(model.pattern, state.L_lower, state.L_inverse, y)
     for k in range(free.shape[0]):
         for i in range(3):
