@@ -114,6 +114,24 @@ def nodal_forces(scene: Scene, positions: Array) -> Array:
     return sim.velocities * lumped_mass(short, sim.mesh)[:, None] / 1e-6
 
 
+def assembled(scene: Scene, x: Array, h: float) -> tuple[Array, Array]:
+    """A and b of a step of h from x at rest, dense and in node order of the free nodes (3 nf)."""
+    sim = Simulator(scene.with_values({"dt": h, "solver.method": "newton"}))  # which leaves b as it was
+    sim.set_state(x, np.zeros_like(x))
+    sim.step()
+    model, state = sim._model, sim._state
+    nf = len(model.free)
+    A = np.zeros((nf, 3, nf, 3))
+    for k in range(nf):
+        A[k, :, k, :] = state.A[k, :, :3].T  # blocks lie by columns, each padded to four numbers
+    for p, (row, column) in enumerate(zip(model.block_row, model.block_column, strict=True)):
+        block = state.A[nf + p, :, :3].T
+        A[row, :, column, :], A[column, :, row, :] = block, block.T
+    assert (state.A[:, :, 3] == 0.0).all()
+    by_node = np.argsort(model.free)
+    return A[by_node][:, :, by_node].reshape(3 * nf, 3 * nf), state.rhs[by_node, :3].ravel()
+
+
 def lumped_mass(scene: Scene, mesh: Any) -> Array:
     """A quarter of each tetrahedron's mass at each of its nodes [kg]."""
     mass = np.zeros(len(mesh.points))

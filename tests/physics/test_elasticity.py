@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cases import for_each
 from numpy.testing import assert_allclose
-from physics_helpers import Array, beam_scene, finger_scene, healthy, nodal_forces, rotations, run, settle
+from physics_helpers import Array, assembled, beam_scene, finger_scene, healthy, nodal_forces, rotations, run, settle
 from scipy.spatial.transform import Rotation
 
 from finger_sim import Scene, Simulator
@@ -96,24 +96,6 @@ def test_uniaxial_stress(strain: float, poisson: float) -> None:
     assert_allclose(forces[right].sum(axis=0), [-pull, 0, 0], rtol=0, atol=1e-5 * abs(pull))
     assert_allclose(forces[~left & ~right], 0.0, rtol=0, atol=1e-5 * abs(pull))
     assert_allclose(forces[:, 1:], 0.0, rtol=0, atol=1e-5 * abs(pull))
-
-
-def assembled(scene: Scene, x: Array, h: float) -> tuple[Array, Array]:
-    """A and b of a step of h from x at rest, dense and in node order of the free nodes (3 nf)."""
-    sim = Simulator(scene.with_values({"dt": h, "solver.method": "newton"}))  # which leaves b as it was
-    sim.set_state(x, np.zeros_like(x))
-    sim.step()
-    model, state = sim._model, sim._state
-    nf = len(model.free)
-    A = np.zeros((nf, 3, nf, 3))
-    for k in range(nf):
-        A[k, :, k, :] = state.A[k, :, :3].T  # blocks lie by columns, each padded to four numbers
-    for p, (row, column) in enumerate(zip(model.block_row, model.block_column, strict=True)):
-        block = state.A[nf + p, :, :3].T
-        A[row, :, column, :], A[column, :, row, :] = block, block.T
-    assert (state.A[:, :, 3] == 0.0).all()
-    by_node = np.argsort(model.free)
-    return A[by_node][:, :, by_node].reshape(3 * nf, 3 * nf), state.rhs[by_node, :3].ravel()
 
 
 @for_each("young", [1.0, 1e3, 1e6, 1e9])
