@@ -20,10 +20,11 @@ from .locking import STRAINS
 from .methods import NEWTON, NONE, PGS, TENSOR
 from .model import Model, State
 from .newton import newton
-from .pgs import apply_rows, inverse_between, solve_rows, touched_nodes
+from .pgs import apply_rows, solve_rows
 from .rows import finish_rows
 from .strain_limits import find_bounded, limit_rows, strain_ratio
 from .tensor_limit import DIRECTIONS, greatest_strain, tensor_rows
+from .touched import inverse_between, touched_nodes
 from .vectors import add, copy
 from .work import CONTACT_ROWS, LIMITS, LINEAR
 

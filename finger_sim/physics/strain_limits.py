@@ -139,7 +139,7 @@ def room_of(projection: int, V: Floats, i: int, j: int, side: float, rooms: Floa
 
 @kernel
 def used(projection: int, s: Floats, V: Floats, i: int, j: int, side: float) -> float:
-    """How much of its room row (i, j) has used up: C = room − used. s (3,): what is bounded, s̄ where there are patches."""
+    """How much of its room row (i, j) has used up: C = room − used. s (3,): what limits bound, so s̄ on patches."""
     weight: float = abs(V[j, i]) if projection == HYPERBOLIC else 1.0
     return weight * side * (float(s[i]) - 1.0)
 

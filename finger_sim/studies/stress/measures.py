@@ -97,7 +97,7 @@ class Body:
     def linearised_away(self, before: Shape, after: Shape) -> float:
         """Elastic energy that a step from one shape to the other does not see, R being that of its start [J]."""
         seen = np.swapaxes(before.R, 1, 2) @ after.F
-        strain = np.linalg.eigvalsh(0.5 * (seen + np.swapaxes(seen, 1, 2)) - np.eye(3))
+        strain = np.linalg.eigvalsh(0.5 * (seen + np.swapaxes(seen, 1, 2)) - np.eye(3)).astype(np.float64)
         return float((self.elastic(after.s - 1.0) - self.elastic(strain)).sum())
 
 
