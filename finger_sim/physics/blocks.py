@@ -18,6 +18,7 @@ class Blocks(NamedTuple):
     """The blocks of A and what adds to them: see Model."""
 
     tet_place: Ints
+    tet_block: Ints
     pair_row: Ints
     pair_column: Ints
     assembly: Ints
@@ -50,7 +51,9 @@ def blocks_of(tet_slot: Ints, patch_pairs: Ints, entry_slot: Ints, nf: int, patt
     patch_assembly = np.column_stack([patch_pairs[:, 0], entries, patch_block])[patch_block >= 0]
     patch_place = place[10 * count :][patch_block >= 0]
     tet_place = place[: 10 * count].reshape(count, 10)
-    return Blocks(tet_place, pair_row, pair_column, assembly, patch_assembly, patch_place, row, column, place_of)
+    return Blocks(
+        tet_place, tet_block, pair_row, pair_column, assembly, patch_assembly, patch_place, row, column, place_of
+    )
 
 
 def _numbered(rows: Ints, columns: Ints, nf: int, pattern: Pattern) -> tuple[Ints, Ints, Ints, Ints, Ints]:

@@ -114,6 +114,14 @@ def patch_sizes(model: Model, state: State) -> None:
 
 
 @stage
+def share_out(model: Model, state: State) -> None:
+    """Add to state.limit_force each tetrahedron's share of what rows press its patch with, summed in patch_force."""
+    own, limit_force, sums = model.patches, state.limit_force, state.patch_force
+    for t in range(own.tet_share.shape[0]):
+        limit_force[t // 8, t % 8] += own.tet_share[t] * sums[own.lane[t // 8, t % 8]]
+
+
+@stage
 def add_patch_forces(model: Model, state: State, h: float, r: Floats) -> None:
     """Add h Σ α λ G, whose sums over the rows of a patch state.patch_force has, to r in slot order."""
     own, force, G = model.patches, state.patch_force, state.G

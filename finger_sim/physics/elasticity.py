@@ -24,8 +24,10 @@ from .compile import formula, stage
 from .dilatation import patch_gradients, patch_pressures, patch_stiffness
 from .kinematics import edges_times
 from .lanes import add3, bits, gather3, load4, load8, scatter3, splat4, splat8, store4
+from .methods import TENSOR
 from .model import Model, State
 from .polar import load_matrix, transposed_times
+from .turning import add_turning
 from .vectors import add, clear, subtract_product
 from .work import MATRICES
 
@@ -64,6 +66,8 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
         state.work[MATRICES] += 1
         if model.hold > 1:
             state.turned[:] = state.quaternion
+    if model.patches.volume.shape[0] > 0 and model.projection == TENSOR and model.limit_compliance > 0.0:
+        add_turning(model, state, h, anew)
     if again:
         w, product, part = state.slot_velocity, state.slot_product, h / (h + beta)
         slot_velocities(model, state)

@@ -137,6 +137,7 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         driven=driven,
         tet_slot=slots.of_tet,
         tet_place=blocks.tet_place,
+        tet_block=blocks.tet_block,
         pair_row=blocks.pair_row,
         pair_column=blocks.pair_column,
         tet_order=np.argsort(slots.of_tet.min(axis=1), kind="stable"),

@@ -10,6 +10,7 @@ from .bone import aim_bone, move_bone, place_driven
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
+from .dilatation import share_out
 from .elasticity import assemble
 from .hessian import factor_elastic
 from .kinematics import kinematics, turned_far
@@ -161,9 +162,9 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
         iterations, residual, definite = newton(model, state, h, contacts, rows, anew, tolerance)
     elif rows > 0:
         touched, patches = touched_nodes(model, state, contacts, rows)
-        inverse_between(model, state, touched, patches)
+        inverse_between(model, state, h, touched, patches)
         iterations, residual = solve_rows(model, state, h, contacts, rows, 3 * touched + patches)
-        apply_rows(model, state, contacts, rows)  # v = v_free + h A⁻¹ Jᵀ λ
+        apply_rows(model, state, h, contacts, rows)  # v = v_free + h A⁻¹ Jᵀ λ
     if not residual <= model.tolerance:
         status |= _ITERATION_LIMIT
     result = state.result
@@ -279,7 +280,7 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
             strain_ratio(model, state)
             result[STRAIN_RATIO] = state.strain_ratio.max()
         active_rows, warm, lam = state.active_rows, state.warm_limit, state.lam
-        row_tet, row_key, row_side = state.row_tet, state.row_key, state.row_side
+        row_tet, row_key, row_side, row_part = state.row_tet, state.row_key, state.row_side, state.row_part
         keeps = model.method == PGS
         counted = 2 * DIRECTIONS if model.projection == TENSOR else 9
         if keeps:
@@ -290,17 +291,25 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
             store8(limit_force, b, 0, splat8(0.0))
         active_rows[:] = 0
         limit_rows = limited_tets = 0
+        patched = follows and model.patches.volume.shape[0] > 0
+        lanes, sums = model.patches.lane, state.patch_force
+        if patched:
+            sums[:] = 0.0
         for row in range(contacts, rows):
             if lam[row] > 0.0:
                 t, key = row_tet[row], row_key[row]
                 if follows:
                     limit_force[t // 8, t % 8] += lam[row]
+                    if patched:
+                        sums[lanes[t // 8, t % 8]] += abs(row_part[row]) * lam[row]
                 if keeps:
                     warm[t, key] = lam[row] * row_side[row]
                 if key < counted:
                     limit_rows += 1
                     limited_tets += active_rows[t] == 0
                     active_rows[t] += 1
+        if patched:
+            share_out(model, state)
         result[LOCKED_TETS] = locked = locked_tets(model, state)
         if locked > 0 or limit_rows > 3 * model.free.shape[0]:
             status |= _LOCKED

@@ -92,6 +92,16 @@ def gradient(R: Matrix, E: Symmetric, y: Vector) -> Matrix:
     u0, u1, u2 = e0 + 1.0, e1 + 1.0, e2 + 1.0
     p0, p1, p2 = u0 * y0 + e5 * y1 + e4 * y2, e5 * y0 + u1 * y1 + e3 * y2, e4 * y0 + e3 * y1 + u2 * y2
     z0, z1, z2 = p1 * y2 - p2 * y1, p2 * y0 - p0 * y2, p0 * y1 - p1 * y0
+    return turned(R, E, (y0 * y0, y1 * y1, y2 * y2, y1 * y2, y0 * y2, y0 * y1), (z0, z1, z2))
+
+
+@formula
+def turned(R: Matrix, E: Symmetric, S: Symmetric, z: Vector) -> Matrix:
+    """R (S − [h]×) by rows, h = (tr(U) I − U)⁻¹ z."""
+    e0, e1, e2, e3, e4, e5 = E
+    s0, s1, s2, s3, s4, s5 = S
+    z0, z1, z2 = z
+    u0, u1, u2 = e0 + 1.0, e1 + 1.0, e2 + 1.0
     t0, t1, t2 = u1 + u2, u0 + u2, u0 + u1
     c00, c01, c02 = t1 * t2 - e3 * e3, e4 * e3 + e5 * t2, e5 * e3 + e4 * t1
     c11, c12, c22 = t0 * t2 - e4 * e4, e5 * e4 + t0 * e3, t0 * t1 - e5 * e5
@@ -101,9 +111,9 @@ def gradient(R: Matrix, E: Symmetric, y: Vector) -> Matrix:
         over * (c01 * z0 + c11 * z1 + c12 * z2),
         over * (c02 * z0 + c12 * z1 + c22 * z2),
     )
-    g00, g01, g02 = y0 * y0, y0 * y1 + h2, y0 * y2 - h1
-    g10, g11, g12 = y0 * y1 - h2, y1 * y1, y1 * y2 + h0
-    g20, g21, g22 = y0 * y2 + h1, y1 * y2 - h0, y2 * y2
+    g00, g01, g02 = s0, s5 + h2, s4 - h1
+    g10, g11, g12 = s5 - h2, s1, s3 + h0
+    g20, g21, g22 = s4 + h1, s3 - h0, s2
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = R
     return (
         r0 * g00 + r1 * g10 + r2 * g20, r0 * g01 + r1 * g11 + r2 * g21, r0 * g02 + r1 * g12 + r2 * g22,
@@ -272,7 +282,7 @@ def _direction(eigen: Floats, group: int, a: int, c: int, sign: float) -> tuple[
 
 
 @stage
-def _gather_tets(model: Model, state: State, group: int) -> None:
+def gather_tets(model: Model, state: State, group: int) -> None:
     """R, E, r_1 … r_3, 1/√a and the sign of the side of eight entries of `near`, side by side, into `gathered`."""
     out, near_list, count = state.tensor.gathered, state.tensor.near, state.tensor.near_count[0]
     rotations, strains, gradients, factors = state.R, state.E, model.lane_gradients, model.limit_factors
@@ -291,7 +301,7 @@ def _gather_tets(model: Model, state: State, group: int) -> None:
 
 
 @formula
-def _node_gradients(slope: Matrix, down: Lanes, whole: Floats, lane_J: Floats) -> None:
+def node_gradients(slope: Matrix, down: Lanes, whole: Floats, lane_J: Floats) -> None:
     """∂C/∂x at the four nodes into lane_J, of ∂λ/∂F = `slope`; down: −side · room; whole: what was gathered."""
     g0, g1, g2, g3, g4, g5, g6, g7, g8 = slope
     s0, s1, s2 = splat8(0.0), splat8(0.0), splat8(0.0)
@@ -327,7 +337,7 @@ def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
     if patched:
         patch_rates(model, state, model.patches.node, velocities)
     for group in range((count + 7) // 8):
-        _gather_tets(model, state, group)
+        gather_tets(model, state, group)
         R = load_matrix(whole, 0)
         e0, e1, e2 = load8(whole, 0, 9), load8(whole, 0, 10), load8(whole, 0, 11)
         E = (e0, e1, e2, load8(whole, 0, 12), load8(whole, 0, 13), load8(whole, 0, 14))
@@ -347,7 +357,7 @@ def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
             slope = gradient(R, E, (y0, y1, y2))
             if patched:
                 slope = less(slope, R, size * (1.0 / 3.0))
-            _node_gradients(slope, -load8(whole, 0, 27) * room, whole, lane_J)
+            node_gradients(slope, -load8(whole, 0, 27) * room, whole, lane_J)
             for l in range(min(8, count - 8 * group)):
                 if not (worth >> l) & 1:
                     continue

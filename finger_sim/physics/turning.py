@@ -1,0 +1,124 @@
+r"""How limit forces turn with the eigenvectors that they act along: the part of their stiffness that rows leave out.
+
+A `tensor` limit that is passed holds with the energy ½ κ E V a² (λ_i − 1)², a its room along eigenvector i. With
+
+    ∂²λ_i = 2 Σ_{j ≠ i} g_ij g_ijᵀ / (λ_i − λ_j),    g_ij = ∂(q_iᵀ A E A q_j)/∂x, q fixed,
+
+an eigenvector between two unequal limits resists turning; a row has ∂λ_i ∂λ_iᵀ only. A step that leaves the rest out
+overshoots, and so does the next one, for ever: where patches let a tetrahedron stretch along two axes at once, two
+limits are passed together, and the eigenvectors between them turn most easily. For each two, A has
+
+    2 (f_i − f_j) / (λ_i − λ_j) g_ij g_ijᵀ,    f = κ E V a² max(0, λ − 1).
+
+It changes no state of rest: what it adds to forces goes with the velocities.
+"""
+
+from __future__ import annotations
+
+from ..arrays import Floats
+from .compile import formula, stage
+from .jacobi import Vector
+from .lanes import Lanes, absolute, bits, lane, load4, load8, maximum, splat8, store4, sum3, where
+from .model import Model, State
+from .polar import load_matrix
+from .tensor_limit import gather_tets, less, node_gradients, turned
+
+_FIRST, _SECOND = (0, 0, 1), (1, 2, 2)
+_APART = 0.1  # of λ_i − λ_j at least: nearer ones have rows between them (tensor_limit.py)
+_BOTH = 0.5  # strain/limit of both, at least: others stand so far apart that they turn little
+_PASSED = 0.95  # strain/limit from which on one counts as passed: it may be so within the step
+
+
+@stage
+def add_turning(model: Model, state: State, h: float, anew: bool) -> None:
+    """Add what limits at state.x resist turning with to A (if `anew`), and what driven nodes do of it to state.rhs."""
+    tensor, volume = state.tensor, model.volume
+    count, pairs, lane_J, near_list = tensor.near_count[0], tensor.eigen, tensor.lane_J, tensor.near
+    whole = tensor.gathered.reshape((1, -1))
+    stiffness = h * h / model.limit_compliance
+    for group in range((count + 7) // 8):
+        gathered = False
+        for d in range(3):
+            i, j = _FIRST[d], _SECOND[d]
+            p, q = load8(pairs, group, i), load8(pairs, group, j)
+            if bits((maximum(p, q) > _PASSED) & (p > _BOTH) & (q > _BOTH)) == 0:
+                continue
+            if not gathered:
+                gather_tets(model, state, group)
+                gathered = True
+            a, b = _scaled(pairs, group, i, whole), _scaled(pairs, group, j, whole)
+            weight = _resistance(p, q, a, b)
+            found = bits((weight > 0.0) & (p > _BOTH) & (q > _BOTH))
+            if found == 0:
+                continue
+            node_gradients(_slope(whole, a, b), splat8(1.0), whole, lane_J)
+            for l in range(min(8, count - 8 * group)):
+                if (found >> l) & 1:
+                    t = near_list[8 * group + l] // 2
+                    add_square(model, state, t, l, stiffness * volume[t] * lane(weight, l), anew)
+
+
+@formula
+def _scaled(pairs: Floats, group: int, i: int, whole: Floats) -> Vector:
+    """y = A q of eigenvector i."""
+    return (
+        load8(whole, 0, 24) * load8(pairs, group, 3 + 3 * i),
+        load8(whole, 0, 25) * load8(pairs, group, 4 + 3 * i),
+        load8(whole, 0, 26) * load8(pairs, group, 5 + 3 * i),
+    )
+
+
+@formula
+def _resistance(p: Lanes, q: Lanes, a: Vector, b: Vector) -> Lanes:
+    """2 (f_i − f_j) / (λ_i − λ_j) in units of κ E V, of eigenvalues p, q and vectors a, b; 0 where it is negative."""
+    a0, a1, a2 = a
+    b0, b1, b2 = b
+    none, one = splat8(0.0), splat8(1.0)
+    size_a, size_b = a0 * a0 + a1 * a1 + a2 * a2, b0 * b0 + b1 * b1 + b2 * b2
+    room_a, room_b = where(size_a > 0.0, one / size_a, none), where(size_b > 0.0, one / size_b, none)
+    more = room_a * room_a * maximum(p - _PASSED, none) - room_b * room_b * maximum(q - _PASSED, none)
+    more = where(p > q, more, none - more)
+    return 2.0 * maximum(more, none) / maximum(absolute(p - q), splat8(_APART))
+
+
+@formula
+def _slope(whole: Floats, a: Vector, b: Vector) -> tuple[Lanes, ...]:
+    """∂(aᵀ E b)/∂F without its trace, of the eight tetrahedra in `whole`."""
+    a0, a1, a2 = a
+    b0, b1, b2 = b
+    e0, e1, e2 = load8(whole, 0, 9), load8(whole, 0, 10), load8(whole, 0, 11)
+    e3, e4, e5 = load8(whole, 0, 12), load8(whole, 0, 13), load8(whole, 0, 14)
+    u0, u1, u2 = e0 + 1.0, e1 + 1.0, e2 + 1.0
+    p0, p1, p2 = u0 * a0 + e5 * a1 + e4 * a2, e5 * a0 + u1 * a1 + e3 * a2, e4 * a0 + e3 * a1 + u2 * a2
+    q0, q1, q2 = u0 * b0 + e5 * b1 + e4 * b2, e5 * b0 + u1 * b1 + e3 * b2, e4 * b0 + e3 * b1 + u2 * b2
+    z = (
+        0.5 * (p1 * b2 - p2 * b1 + q1 * a2 - q2 * a1),
+        0.5 * (p2 * b0 - p0 * b2 + q2 * a0 - q0 * a2),
+        0.5 * (p0 * b1 - p1 * b0 + q0 * a1 - q1 * a0),
+    )
+    s0, s1, s2 = a0 * b0, a1 * b1, a2 * b2
+    S = (s0, s1, s2, 0.5 * (a1 * b2 + a2 * b1), 0.5 * (a0 * b2 + a2 * b0), 0.5 * (a0 * b1 + a1 * b0))
+    R = load_matrix(whole, 0)
+    return less(turned(R, (e0, e1, e2, e3, e4, e5), S, z), R, (s0 + s1 + s2) * (1.0 / 3.0))
+
+
+@stage
+def add_square(model: Model, state: State, t: int, l: int, weight: float, anew: bool) -> None:
+    """Add weight · g gᵀ of tetrahedron t, whose g is in lane l of lane_J."""
+    A, rhs, g, nf = state.A, state.rhs, state.tensor.lane_J, model.free.shape[0]
+    if anew:
+        for e in range(10):
+            block = model.tet_block[t, e]
+            if block >= 0:
+                row, column = model.pair_row[t, e], model.pair_column[t, e]
+                a = load4(g, l, row) * weight
+                for c in range(3):
+                    store4(A, block, c, load4(A, block, c) + a * g[l, column, c])
+    if model.tet_moves[t] < 4 and not model.has_bone:
+        rate = 0.0
+        for n in range(4):
+            rate += sum3(load4(g, l, n) * load4(state.driven_velocity, model.tets[t, n], 0))
+        for n in range(4):
+            slot = model.tet_slot[t, n]
+            if slot < nf:
+                store4(rhs, slot, 0, load4(rhs, slot, 0) - load4(g, l, n) * (weight * rate))

@@ -1,0 +1,74 @@
+"""How limits resist the turning of their eigenvectors (turning.py): as the second derivative of their energy says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cases import for_each
+from physics_helpers import Array, assembled, beam_scene
+from scipy.spatial.transform import Rotation
+
+from finger_sim import Scene, Simulator
+
+ROOM, STIFFNESS, YOUNG, STEP = 0.1, 50.0, 1e4, 1e-2
+FREE = {"limits.stretch": [None] * 3, "limits.compress": [None] * 3}
+
+
+def limited(**values: object) -> Scene:
+    """A free block of patches with the same room in every direction."""
+    limits = {"projection": "tensor", "stretch": [1.0 + ROOM] * 3, "compress": [1.0 - ROOM] * 3}
+    scene = beam_scene((0.2, 0.1, 0.1), (2, 1, 1), young=YOUNG, poisson=0.45, limits=limits)
+    fixed = {"limits.stiffness": STIFFNESS, "limits.inertia": 0.0, "limits.viscosity": 0.0}
+    return scene.with_values({"material.volumetric": "patch"} | fixed | values)
+
+
+def energy(F: Array, volume: float) -> float:
+    """Of passed limits in a body that is strained alike everywhere; F is symmetric and positive definite."""
+    passed = np.abs(np.linalg.eigvalsh(F - np.eye(3))) / ROOM - 1.0
+    return float(0.5 * STIFFNESS * YOUNG * volume * ROOM**2 * (np.maximum(passed, 0.0) ** 2).sum())
+
+
+@for_each("strains", [(1.6, 1.2, -0.4), (-1.6, -1.2, 0.4), (2.5, 1.3, 0.8)])
+def test_shear_between_two_passed_limits(strains: tuple[float, float, float]) -> None:
+    """Its resistance is the second derivative of their energy, which rows have nothing of; and none without patches."""
+    Q = Rotation.from_rotvec([0.3, -0.7, 0.5]).as_matrix()
+    F = np.eye(3) + ROOM * Q @ np.diag(strains) @ Q.T
+    shear = Q @ np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) @ Q.T
+    scene = limited()
+    mesh = scene.load_mesh()
+    points, volume, small = np.array(mesh.points), float(mesh.volumes.sum()), 1e-4
+    turn = Rotation.from_rotvec([1.0, 2.0, -0.5]).as_matrix()
+    x, moves = points @ (turn @ F).T, (points @ (turn @ shear).T).ravel()
+    found = assembled(scene, x, STEP)[0] - assembled(scene.with_values(FREE), x, STEP)[0]
+    changes = [energy(F + e * small * shear, volume) for e in (-1.0, 0.0, 1.0)]
+    assert moves @ found @ moves / STEP**2 == pytest.approx(np.diff(changes, 2)[0] / small**2, rel=1e-4)
+    assert np.abs(found - found.T).max() < 1e-9 * np.abs(found).max()
+    assert np.linalg.eigvalsh(found).min() > -1e-9 * np.abs(found).max()
+    element = {"material.volumetric": "element"}
+    plain = assembled(scene.with_values(element), x, STEP)[0]
+    assert (plain == assembled(scene.with_values(element | FREE), x, STEP)[0]).all()
+
+
+def test_limits_that_are_not_passed_resist_nothing() -> None:
+    """Nor does an eigenvector whose neighbour is far off."""
+    for strains in ((0.9, 0.8, -0.5), (1.5, 0.3, -0.7)):
+        scene = limited()
+        x = np.array(scene.load_mesh().points) @ (np.eye(3) + ROOM * np.diag(strains))
+        assert (assembled(scene, x, STEP)[0] == assembled(scene.with_values(FREE), x, STEP)[0]).all()
+
+
+def test_a_driven_face_that_moves_along_is_not_held_back() -> None:
+    """A strained block on a driven face moves with it at one velocity: nothing turns, so nothing resists."""
+    scene = limited(dt=STEP).with_values({"driven": "base", "solver.method": "newton"})
+    sim = Simulator(scene)
+    points = np.array(sim.mesh.points)
+    F = np.eye(3) + ROOM * np.diag([1.6, 1.2, -0.4])
+    forces = []
+    for velocity in (0.0, 0.3):
+        sim.reset()
+        sim.set_state(points @ F, np.broadcast_to([0.0, velocity, 0.0], points.shape))
+        model, state = sim._model, sim._state
+        pose = sim.pose
+        sim.step(type(pose)((0.0, velocity * STEP, 0.0), pose.orientation))
+        forces.append(np.array(state.v[model.free, :3]) - [0.0, velocity, 0.0])
+    np.testing.assert_allclose(forces[1], forces[0], rtol=0, atol=1e-6 * np.abs(forces[0]).max())
