@@ -135,13 +135,13 @@ class Pgs(NamedTuple):
     cross: Floats  # (rows,) W between a contact's two tangents, at the first one's row
     has_column: Ints  # (rows,) 1: the row's column of Z is there
     row_local: Ints  # (rows, 4) where in u the components of each node begin; past the touched ones: driven or none
-    row_rate: Ints  # (rows,) where in u the rate of its patch is; past them: none
+    row_rate: Ints  # (rows,) where in u its patch is; past them: none
     local: Ints  # (nf,) touched slots numbered, −1: not touched
     touched: Ints  # (touched,) their slots
     local_patch: Ints  # (P,) touched patches numbered, −1: not touched
     touched_patch: Ints  # (patches,) which they are
-    u: Floats  # (unknowns + 3,) h A⁻¹ Jᵀ λ at touched nodes, the same as rates θ̇ of touched patches, then zeros
-    S: Floats  # (unknowns²,) A⁻¹ between touched nodes and patches, as a matrix
+    u: Floats  # (unknowns + 3,) h A⁻¹ Jᵀ λ at touched nodes, h θ̇ of it of touched patches, then zeros
+    S: Floats  # (unknowns²,) A⁻¹ between touched nodes and patches, as a matrix: see touched.py
     Z: Floats  # (rows unknowns,) h A⁻¹ Jᵀ, a row's column contiguous
     Y: Floats  # (nf, 3, linear_solver.SIDES_AT_ONCE) right-hand sides
     reached: Ints  # (nf,) 1 where Y is not zero

@@ -9,8 +9,8 @@ the nodes that rows touch. A row reads its g from its own nodes, and adds its co
 changes, so that a row at rest off its limit costs a dozen products. The columns come from S, the block of A⁻¹
 between touched nodes (touched.py), each when first needed.
 
-What a limit row has at all nodes of its patch, α G (dilatation.py), is one entry more of the row: the patch's rate
-θ̇ = G u is kept in u beside its nodes.
+What a limit row has at all nodes of its patch, α G (dilatation.py), is one entry more of the row: α, for h θ̇ = h G u
+of its patch, which u has beside its nodes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: in
 
     The residual is the largest change any row's force would still need on its own (its violation or lack of
     complementarity over its diagonal of W), as nodal force relative to the largest one. When the sweeps run out,
-    the iterate with the least residual is kept. size: unknowns of S. On return state.J holds h J, row_part h α.
+    the iterate with the least residual is kept. size: unknowns of S. On return state.J holds h J.
     """
     pgs, J, lam, best, compliance = state.pgs, state.J, state.lam, state.best, state.compliance
     nodes, u, diagonal, cross, has_column = pgs.row_local, pgs.u, pgs.diagonal, pgs.cross, pgs.has_column
@@ -49,7 +49,6 @@ def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: in
         has_column[row] = 0
         diagonal[row] = _product(S, J, nodes, row, row) + compliance[row]
         if part.shape[0] > 0:
-            part[row] *= h
             diagonal[row] += _square_of_patch(S, J, nodes, row, part[row], rates[row])
     for row in range(0, contact_rows, 3):
         cross[row + 1] = _product(S, J, nodes, row + 1, row + 2)
@@ -225,7 +224,7 @@ def _product(S: Floats, J: Floats, nodes: Ints, row: int, other: int) -> float:
 
 @kernel
 def _square_of_patch(S: Floats, J: Floats, nodes: Ints, row: int, part: float, rate: int) -> float:
-    """What the part of its patch adds to `_product` of a row with itself: 2 (h J) A⁻¹ (h α G)ᵀ + (h α)² G A⁻¹ Gᵀ."""
+    """What its patch adds to `_product` of a row with itself: 2 (h J) A⁻¹ (h α G)ᵀ + α² h² G A⁻¹ Gᵀ."""
     if rate >= S.shape[0]:
         return 0.0
     total: float = part * S[rate, rate]
@@ -238,8 +237,8 @@ def _square_of_patch(S: Floats, J: Floats, nodes: Ints, row: int, part: float, r
 
 
 @stage
-def apply_rows(model: Model, state: State, contacts: int, rows: int) -> None:
-    """Add A⁻¹ (h J)ᵀ λ to the velocities of all free nodes; state.J holds h J, row_part h α since `solve_rows`."""
+def apply_rows(model: Model, state: State, h: float, contacts: int, rows: int) -> None:
+    """Add A⁻¹ (h J)ᵀ λ to the velocities of all free nodes; state.J holds h J since `solve_rows`."""
     y, lam, J, row_slot, v, free = state.rhs, state.lam, state.J, state.row_slot, state.v, model.free
     sums, row_tet, patches = state.patch_force, state.row_tet, model.patches.lane
     clear(y)
@@ -255,7 +254,7 @@ def apply_rows(model: Model, state: State, contacts: int, rows: int) -> None:
         for row in range(contacts, rows):
             t = row_tet[row]
             sums[patches[t // 8, t % 8]] += lam[row] * state.row_part[row]
-        add_patch_forces(model, state, 1.0, y)
+        add_patch_forces(model, state, h, y)
     solve(model.pattern, state.L_lower, state.L_inverse, y)
     for k in range(free.shape[0]):
         for i in range(3):

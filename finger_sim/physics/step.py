@@ -162,9 +162,9 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
         iterations, residual, definite = newton(model, state, h, contacts, rows, anew, tolerance)
     elif rows > 0:
         touched, patches = touched_nodes(model, state, contacts, rows)
-        inverse_between(model, state, touched, patches)
+        inverse_between(model, state, h, touched, patches)
         iterations, residual = solve_rows(model, state, h, contacts, rows, 3 * touched + patches)
-        apply_rows(model, state, contacts, rows)  # v = v_free + h A⁻¹ Jᵀ λ
+        apply_rows(model, state, h, contacts, rows)  # v = v_free + h A⁻¹ Jᵀ λ
     if not residual <= model.tolerance:
         status |= _ITERATION_LIMIT
     result = state.result
@@ -280,7 +280,7 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
             strain_ratio(model, state)
             result[STRAIN_RATIO] = state.strain_ratio.max()
         active_rows, warm, lam = state.active_rows, state.warm_limit, state.lam
-        row_tet, row_key, row_side = state.row_tet, state.row_key, state.row_side
+        row_tet, row_key, row_side, row_part = state.row_tet, state.row_key, state.row_side, state.row_part
         keeps = model.method == PGS
         counted = 2 * DIRECTIONS if model.projection == TENSOR else 9
         if keeps:

@@ -1,7 +1,7 @@
 r"""What rows touch, and A⁻¹ between it: the matrix S that `pgs` takes its columns from (pgs.py).
 
-Rows touch nodes, and limit rows their patches (dilatation.py), by the rate θ̇ = G v alone: a patch is one row and column
-of S, however many nodes it has. S has A⁻¹ between touched nodes, A⁻¹ Gᵀ between these and patches, and G A⁻¹ Gᵀ.
+Rows touch nodes, and limit rows their patches (dilatation.py), by h θ̇ = h G v alone: a patch is one row and column of
+S, however many nodes it has. S has A⁻¹ between touched nodes, h A⁻¹ Gᵀ between these and patches, and h² G A⁻¹ Gᵀ.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def touched_patches(model: Model, state: State, contacts: int, rows: int, first:
 
 
 @stage
-def inverse_between(model: Model, state: State, count: int, patches: int) -> None:
+def inverse_between(model: Model, state: State, h: float, count: int, patches: int) -> None:
     """S: the symmetric block of A⁻¹ between touched nodes, some of its columns at a time; then touched patches."""
     Y, touched, reached = state.pgs.Y, state.pgs.touched, state.pgs.reached
     pattern, lower, inverse = model.pattern, state.L_lower, state.L_inverse
@@ -88,12 +88,12 @@ def inverse_between(model: Model, state: State, count: int, patches: int) -> Non
                     S[3 * a + i, 3 * start + l] = Y[k, i, l]
                     S[3 * start + l, 3 * a + i] = Y[k, i, l]
     if patches > 0:
-        inverse_of_patches(model, state, S, count, patches)
+        inverse_of_patches(model, state, h, S, count, patches)
 
 
 @stage
-def inverse_of_patches(model: Model, state: State, S: Floats, count: int, patches: int) -> None:
-    """The rows and columns of S that touched patches have: A⁻¹ Gᵀ at touched nodes, and G A⁻¹ Gᵀ."""
+def inverse_of_patches(model: Model, state: State, h: float, S: Floats, count: int, patches: int) -> None:
+    """The rows and columns of S that touched patches have: h A⁻¹ Gᵀ at touched nodes, and h² G A⁻¹ Gᵀ."""
     Y, touched, touched_patch, reached = state.pgs.Y, state.pgs.touched, state.pgs.touched_patch, state.pgs.reached
     pattern, lower, inverse, nf = model.pattern, state.L_lower, state.L_inverse, model.free.shape[0]
     entries, slots, G, own = model.patches.start, model.patches.slot, state.G, 3 * count
@@ -111,7 +111,7 @@ def inverse_of_patches(model: Model, state: State, S: Floats, count: int, patche
                 if slots[k] < nf:
                     reached[slots[k]] = 1
                     for i in range(3):
-                        Y[slots[k], i, l] = G[k, i]
+                        Y[slots[k], i, l] = h * G[k, i]
         solve_many(pattern, lower, inverse, first, reached, Y)
         for a in range(count):
             for i in range(3):
@@ -123,6 +123,6 @@ def inverse_of_patches(model: Model, state: State, S: Floats, count: int, patche
                 if slots[k] < nf:
                     for i in range(3):
                         for l in range(width):
-                            S[own + q, own + start + l] += G[k, i] * Y[slots[k], i, l]
+                            S[own + q, own + start + l] += h * G[k, i] * Y[slots[k], i, l]
             for l in range(width):
                 S[own + start + l, own + q] = S[own + q, own + start + l]
