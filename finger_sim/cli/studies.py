@@ -230,7 +230,9 @@ def _tradeoff(options: argparse.Namespace) -> int:
 
 def _for_rate(options: argparse.Namespace) -> int:
     from ..console import gauge, say, show
+    from ..studies.tradeoff.grid import MEANT
     from ..studies.tradeoff.rate import for_rate, tried, words
+    from ..studies.tradeoff.tradeoff import checked_finger
 
     for name in ("grid", "scheduler", "workers"):
         if getattr(options, name) is not None:
@@ -239,8 +241,9 @@ def _for_rate(options: argparse.Namespace) -> int:
     if len(scenes) > 1 or len(options.bag) > 1:
         raise FingerSimError("--for-rate: allowed with one scene and one bag")
     bag = options.bag[0] if options.bag else None
+    mesh = checked_finger(options.reference or MEANT, "--reference")
     with gauge(f"{scenes[0]}: settings that hold {options.for_rate:g} Hz on this machine") as meter:
-        found = for_rate(scenes[0], options.for_rate, bag, options.duration, options.out, meter)
+        found = for_rate(scenes[0], options.for_rate, bag, options.duration, options.out, meter, mesh)
     show(tried(found))
     if found.scene is None:
         say(f"finger_sim: nothing holds {options.for_rate:g} Hz here; the nearest: {words(found.best)}")

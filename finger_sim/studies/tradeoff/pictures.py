@@ -21,6 +21,8 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 BASE_COLOR, LINE_COLOR, FELT_COLOR = "black", "0.35", "#b3332e"
 SIZE = (11.0, 6.2)
 """Of a picture [inch]."""
+DOT = 40.0
+"""Area of a dot [point²]."""
 TINY = 1e-6
 """Smallest error drawn."""
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
@@ -80,7 +82,7 @@ def total_against_time(rows: Sequence[Row]) -> Figure:
     axes = figure.add_axes((0.08, 0.27, 0.9, 0.71))
     told = [row for row in rows if row.total_force_rel > 0.0]
     cost, total = [row.cost for row in told], [row.total_force_rel for row in told]
-    part = [max(row.solver_part, TINY) if row.solver_part > 0.0 else TINY for row in told]
+    part = [row.solver_part if row.solver_part > TINY else TINY for row in told]
     best = front(cost, total)
     _logarithmic(axes, cost, [*total, *part, WEBER])
     axes.vlines(cost, part, total, color="0.82", linewidth=0.7, zorder=1)
@@ -88,19 +90,20 @@ def total_against_time(rows: Sequence[Row]) -> Figure:
     meshes = {row.mesh: row.tets for row in sorted(told, key=lambda row: row.tets)}
     for k, (mesh, tets) in enumerate(meshes.items()):
         color, style = COLORS[k % len(COLORS)], MARKERS[k % len(MARKERS)]
-        axes.scatter([], [], c=color, marker=style, s=34, label=f"{mesh}, {tets:,} tetrahedra")
+        axes.scatter([], [], c=color, marker=style, s=DOT, label=f"{mesh}, {tets:,} tetrahedra")
         for i, row in enumerate(told):
             if row.mesh == mesh:
                 face = color if row.volumetric == "patch" else "white"
-                axes.scatter(cost[i], total[i], c=face, marker=style, s=34, edgecolors=color, zorder=3)
-    axes.scatter([], [], c="white", edgecolors="0.3", s=34, label="hollow: element; filled: patch")
+                size = DOT if row.level == "standard" else 0.4 * DOT
+                axes.scatter(cost[i], total[i], c=face, marker=style, s=size, edgecolors=color, zorder=3)
+    axes.scatter([], [], c="white", edgecolors="0.3", s=DOT, label="hollow: element; filled: patch; small: lagged")
     axes.vlines([], [], [], color="0.7", label="down to the solver's error")
     _front(axes, cost, total, best)
     _real_time_and_weber(axes)
     axes.set_xlabel("computing time for a second simulated [s]: at 1 kHz the mean time of a step [ms]")
     axes.set_ylabel("force error against the finger that is meant, RMS over peak force")
     axes.legend(fontsize=7.5, frameon=False, loc="lower left")
-    caption = _caption(rows, [told[k] for k in best], 150)
+    caption = "\n".join(textwrap.wrap(_total_caption(told, [told[k] for k in best]), 160))
     figure.text(0.012, 0.012, caption, fontsize=7.5, color="0.3", linespacing=1.35)
     return figure
 
@@ -206,6 +209,27 @@ def _front(axes: Axes, x: Sequence[float], y: Sequence[float], best: Sequence[in
     for letter, k in zip(LETTERS, best, strict=False):
         axes.annotate(letter, (x[k], y[k]), xytext=(-3, -11), textcoords="offset points", fontsize=8, weight="bold",
                       ha="right")  # fmt: skip
+
+
+def _total_caption(rows: Sequence[Row], best: Sequence[Row]) -> str:
+    """What the picture is of, and the points of the line by their letters."""
+    named = [
+        f"{letter}: {', '.join([row.mesh, row.volumetric, row.level, f'dt {1e3 * row.dt_s:g} ms', *_besides(row)])}"
+        for letter, row in zip(LETTERS, best, strict=False)
+    ]
+    base = rows[0]
+    return (
+        f"{base.scene}, {base.motion}. The finger that is meant: {base.meant} with patches, converged; each mesh has "
+        "its own modulus. Where solver and mesh err in opposite ways the whole is less than the solver's part. The "
+        f"line joins what nothing beats in both. {'. '.join(named)}."
+    )
+
+
+def _besides(row: Row) -> list[str]:
+    """Changes that the caption's first words do not tell."""
+    told = ("mesh.file", "material.volumetric", "solver.level", "dt")
+    parts = [part.partition("=") for part in row.changed.split("; ") if part]
+    return [f"{key.rpartition('.')[2]} {value}" for key, _, value in parts if key not in told]
 
 
 def _caption(rows: Sequence[Row], best: Sequence[Row], width: int) -> str:

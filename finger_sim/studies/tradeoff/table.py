@@ -67,6 +67,7 @@ class Row:
     model_torque_rms_nm: float
     model_node_rms_m: float
     model_slip_onset_s: float
+    meant: str  # mesh of the finger that is meant, which has patches; empty where there is none
     mesh_force_rms_n: float  # of the model, converged, against the finger that is meant: mesh, element, modulus
     mesh_force_max_n: float
     mesh_force_rel: float
@@ -108,13 +109,20 @@ class Courses(NamedTuple):
     converged: Course  # the same model
     coarser: Course  # that, at twice the time step
     base: Course  # the base's model, converged
-    meant: Course | None  # the finger that is meant, converged; None where there is none
+    meant: Course | None = None  # the finger that is meant, converged; None where there is none
 
 
 def row(
-    point: Point, motion: str, tets: int, courses: Courses | None, clock: Times | None, refused: Sequence[str]
+    point: Point,
+    motion: str,
+    tets: int,
+    courses: Courses | None,
+    clock: Times | None,
+    *,
+    meant: str = "",
+    refused: Sequence[str] = (),
 ) -> Row:
-    """The row of a point; courses: None where one of its runs failed."""
+    """The row of a point; courses: None where one of its runs failed. meant: see Row."""
     scene, nan = point.scene, math.nan
     solver, model, doubt, mesh, total = (Errors(*[nan] * 6),) * 5
     measured: dict[str, Any] = dict.fromkeys(
@@ -122,13 +130,13 @@ def row(
          "jitter_moving_n", "energy_drift", "factorisations", "iterations", "unsolved"), nan
     )  # fmt: skip
     if courses is not None:
-        own, converged, coarser, base, meant = courses
+        own, converged, coarser, base, finger = courses
         plane = scene.plane
         cone = None if plane is None else (plane.unit_normal, plane.friction)
         solver, model = errors(own, converged, cone), errors(converged, base, cone)
         doubt = errors(coarser, converged, cone)
-        if meant is not None:
-            mesh, total = errors(converged, meant, cone), errors(own, meant, cone)
+        if finger is not None:
+            mesh, total = errors(converged, finger, cone), errors(own, finger, cone)
         measured = {
             "peak_force_n": peak_force(own),
             "strain_overshoot": overshoot(own),
@@ -141,6 +149,7 @@ def row(
             "iterations": float(own.work[1]),
             "unsolved": unsolved(own),
         }
+    across: dict[str, Any] = _across("mesh", mesh) | _across("total", total)
     t = clock or Times(0, nan, nan, nan, nan)
     return Row(
         scene=point.name,
@@ -160,8 +169,8 @@ def row(
         holds_rate=t.p99 <= scene.dt,
         **{f"solver_{name}": value for name, value in solver._asdict().items()},
         **{f"model_{name}": value for name, value in model._asdict().items()},
-        **_across("mesh", mesh),
-        **_across("total", total),
+        meant=meant,
+        **across,
         reference_uncertainty_rel=doubt.force_rel,
         felt=solver.force_max_n >= UNFELT,
         **measured,

@@ -27,7 +27,8 @@ from ...pictures.surfaces import new_figure
 from ...scene import MeshSource, Scene
 from ...scene.calibration import MODULUS
 from . import pool
-from .grid import DEFAULT, MEANT, Grid, Point, has_mesh_error, meant, points, reference
+from .grid import DEFAULT, MEANT, Grid, Point, has_mesh_error, points, reference
+from .grid import meant as finger_meant
 from .motion import Motion, TradeoffError, motion
 from .pictures import draw
 from .run import Course, Times
@@ -134,7 +135,7 @@ def _trials(options: Options) -> list[_Trial]:
         of_scene = points(name, options.grid)
         tets = {point.scene.mesh: len(point.scene.load_mesh().tets) for point in of_scene}
         base = of_scene[0].scene
-        finger = meant(base, options.meant)
+        finger = finger_meant(base, options.meant)
         if finger is not None:
             tets.setdefault(finger.mesh, len(finger.load_mesh().tets))
         for bag in options.bags:
@@ -170,9 +171,10 @@ def _row(trial: _Trial, outcomes: dict[str, pool.Outcome]) -> Row:
     runs = [c for c in came if isinstance(c, Course)]
     courses = None
     if len(runs) == len(trial.courses):
-        courses = Courses(*runs) if trial.meant else Courses(*runs, meant=None)
+        courses = Courses(*runs)
     clock = came[-1] if isinstance(came[-1], Times) else None
-    return row(trial.point, trial.motion.name, trial.tets, courses, clock, refused)
+    meant = "" if trial.meant is None else Path(trial.meant.scene.mesh.file or "").stem
+    return row(trial.point, trial.motion.name, trial.tets, courses, clock, meant=meant, refused=refused)
 
 
 class TimeLeft:
