@@ -288,7 +288,7 @@ def _caption(result: Result) -> str:
         f"the paper's anisotropic beam still swings along its axis by ±{100.0 * swing.amplitude:.1f} % at "
         f"{swing.frequency:.2f} Hz.\n"
         f"Locking: under a small load linear tetrahedra sag {small['sag_below_quadratic_percent']:.0f} % less than "
-        f"quadratic ones on this mesh: {small['stiffness_over_quadratic']:.2f} times as stiff in bending; patches of "
-        f"them that share one volume strain {patched['stiffness_over_quadratic']:.2f} times.\n"
+        f"quadratic ones on this mesh: {small['stiffness_over_quadratic']:.2f} times as stiff in bending,\n"
+        f"{patched['stiffness_over_quadratic']:.2f} times with patches that share one volume strain. "
         "The fourth beam hangs lower: hyperbolic bounds shear between the free axis and the others, tensor does not."
     )

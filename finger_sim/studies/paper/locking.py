@@ -35,8 +35,8 @@ MOST = 3.0
 SIZE = (13.0, 7.2)
 VIEW = View(8.0, -62.0)
 COLORS = {
-    "none": "0.65", "patches": "0.25", "isotropic": "#7b8794", "linear": "#d1730f", "tensor": "#2a7f4f", "hyperbolic": "#0b5394",
-    "orthogonal": "#a61c3c",
+    "none": "0.65", "patches": "0.25", "isotropic": "#7b8794", "linear": "#d1730f", "tensor": "#2a7f4f",
+    "hyperbolic": "#0b5394", "orthogonal": "#a61c3c",
 }  # fmt: skip
 
 
