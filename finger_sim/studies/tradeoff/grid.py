@@ -69,7 +69,7 @@ class Point:
 
     scene: Scene
     name: str  # of the shipped scene or the file
-    changed: Mapping[str, Any]  # dotted keys, besides the base
+    changed: Mapping[str, Any]  # dotted keys that differ from the base
 
     @property
     def knob(self) -> str:
@@ -188,8 +188,14 @@ def points(name: str, grid: Grid) -> list[Point]:
             if grid.fits_all:
                 continue
             raise
-        out.setdefault(scene, Point(scene, Path(name).stem, change))
+        out.setdefault(scene, Point(scene, Path(name).stem, _differing(base, scene, change)))
     return list(out.values())
+
+
+def _differing(base: Scene, scene: Scene, change: Mapping[str, Any]) -> dict[str, Any]:
+    """Of what a point changes, what the base has otherwise: a product names all its keys."""
+    had, has = ({one.name: one.value for one in of.parameters()} for of in (base, scene))
+    return {key: value for key, value in change.items() if key not in had or had[key] != has.get(key)}
 
 
 def changed(scene: Scene, values: Mapping[str, Any]) -> Scene:

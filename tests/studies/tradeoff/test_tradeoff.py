@@ -197,6 +197,9 @@ def test_only_what_is_solved_has_another_reference():
     twice = reference(base, base, 350, coarser=2)
     assert twice.dt / twice.substeps == pytest.approx(2.0 * common.dt / common.substeps)
     assert 40 <= len(others) <= 70
+    # What the product leaves as it is does not count as changed.
+    assert {"0.002", "0.004"} <= {point.value for point in others if point.knob == "dt"}
+    assert "lagged" in {point.value for point in others if point.knob == "solver.level"}
 
 
 MESHES = """
