@@ -174,6 +174,12 @@ def add_tradeoff(verbs: Any) -> None:
         "`product`: {KEY: [VALUE, …]} all combinations, `points`: [{KEY: VALUE, …}, …]; keys are dotted",
     )
     add(
+        "--reference",
+        metavar="MESH",
+        help="the finger that is meant, with patches, which errors of a mesh are against: a shipped finger "
+        "(default: finger_4000)",
+    )
+    add(
         "--scheduler",
         metavar="ADDRESS",
         help="a Dask scheduler, tcp://HOST:PORT (default: own processes here); "
@@ -184,7 +190,8 @@ def add_tradeoff(verbs: Any) -> None:
         "--for-rate",
         type=positive,
         metavar="HZ",
-        help="instead of the study: find the most accurate settings that hold HZ here, and write them as a scene",
+        help="instead of the study: find the most accurate mesh and settings that hold HZ here, and write them as a "
+        "scene",
     )
     add(
         "--out",
@@ -199,7 +206,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
     if options.for_rate is not None:
         return _for_rate(options)
     from ..console import say, show
-    from ..studies.tradeoff.grid import DEFAULT, Grid
+    from ..studies.tradeoff.grid import DEFAULT, MEANT, Grid
     from ..studies.tradeoff.table import summary
     from ..studies.tradeoff.tradeoff import SCENES, Options, tradeoff
 
@@ -207,6 +214,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
         scenes=[*options.scenes, *options.scene] or SCENES,
         bags=options.bag or [None],
         grid=Grid.load(options.grid) if options.grid else DEFAULT,
+        meant=options.reference or MEANT,
         duration=options.duration,
         scheduler=options.scheduler,
         workers=options.workers,
@@ -222,7 +230,9 @@ def _tradeoff(options: argparse.Namespace) -> int:
 
 def _for_rate(options: argparse.Namespace) -> int:
     from ..console import gauge, say, show
+    from ..studies.tradeoff.grid import MEANT
     from ..studies.tradeoff.rate import for_rate, tried, words
+    from ..studies.tradeoff.tradeoff import checked_finger
 
     for name in ("grid", "scheduler", "workers"):
         if getattr(options, name) is not None:
@@ -231,8 +241,9 @@ def _for_rate(options: argparse.Namespace) -> int:
     if len(scenes) > 1 or len(options.bag) > 1:
         raise FingerSimError("--for-rate: allowed with one scene and one bag")
     bag = options.bag[0] if options.bag else None
+    mesh = checked_finger(options.reference or MEANT, "--reference")
     with gauge(f"{scenes[0]}: settings that hold {options.for_rate:g} Hz on this machine") as meter:
-        found = for_rate(scenes[0], options.for_rate, bag, options.duration, options.out, meter)
+        found = for_rate(scenes[0], options.for_rate, bag, options.duration, options.out, meter, mesh)
     show(tried(found))
     if found.scene is None:
         say(f"finger_sim: nothing holds {options.for_rate:g} Hz here; the nearest: {words(found.best)}")

@@ -19,18 +19,34 @@ from typing import Any
 
 import numpy as np
 
-from ...arrays import Ints
+from ...arrays import Floats, Ints
 from ...console import gauge
 from ...errors import MissingExtraError
 from ...scene import Scene
 from ..shared import pinned
 from . import passes, peers
-from .figures import MUJOCO, UNIT_SIZE, Figure, Key, Records, Row, figures, row, unsteadiness
+from .figures import (
+    DEFAULT_SIZE,
+    MUJOCO,
+    UNIT_SIZE,
+    Figure,
+    Key,
+    Records,
+    Row,
+    by_repetition,
+    figures,
+    median_and_p99,
+    ratio,
+    row,
+    unsteadiness,
+)
 from .scenes import (
     CANTILEVER,
     CANTILEVER_FINER,
     CANTILEVER_STEPS,
     MESHES,
+    PATCHES,
+    PHASES,
     SCALES,
     BenchError,
     Motion,
@@ -50,7 +66,9 @@ Makers = Mapping[str, Callable[[peers.PeerCase], peers.Peer]]
 CONTENDERS = {
     350: [("limits", "newton"), ("limits", "lagged"), ("limits", "pgs"), ("limited", "newton"),
           ("limited", "lagged"), ("limited", "pgs"), ("no limits", "newton")],
-    2000: [("limits", "newton"), ("limits", "lagged"), ("limited", "newton")],
+    1000: [("limits", "newton"), ("limits", "lagged"), ("limits", "patch"), ("limits", "patch lagged"),
+           ("limited", "newton"), ("limited", "patch")],
+    2000: [("limits", "newton"), ("limits", "lagged"), ("limits", "patch"), ("limited", "newton")],
     4000: [("limits", "newton"), ("limits", "lagged"), ("limited", "newton")],
 }  # fmt: skip
 """Our own at each size: (scene, solver)."""
@@ -124,6 +142,8 @@ def bench(options: Options) -> Report:
         cantilever = _cantilever(options, found)
         if UNIT_SIZE in options.sizes:
             extras |= _steadiness(options)
+        if DEFAULT_SIZE in options.sizes:
+            extras |= _patches(options)
     return Report(machine, records.rows(), cantilever, stages, figures(records, extras), said)
 
 
@@ -159,7 +179,8 @@ def _finger(size: int, options: Options, found: Makers, records: Records) -> dic
     motion = _motion(size, options)
     keys = [Key(size, limits, solver) for limits, solver in CONTENDERS[size]]
     with gauge(f"{size} tetrahedra: converged runs to compare with"):
-        reference = {key.scene: _reference(finger_scene(size, key.scene), motion) for key in keys}
+        bodies = {_body(key): finger_scene(size, *_body(key)) for key in keys}
+        reference = {body: _reference(scene, motion) for body, scene in bodies.items()}
     with gauge(f"{size} tetrahedra: {options.repeats} repetitions of {len(motion.poses)} steps") as meter:
         runners: dict[Key, Runner] = {key: Ours(finger_scene(size, key.scene, key.contender), motion) for key in keys}
         bare, names = finger_scene(size, "no limits"), {}
@@ -172,9 +193,31 @@ def _finger(size: int, options: Options, found: Makers, records: Records) -> dic
             runners[Key(size, "no limits", name)], names[name] = peer, peer.name
         came = passes.interleaved(runners, options.repeats, meter)
     records.of |= came
-    records.reference |= {key: reference[key.scene] for key in came}
+    records.reference |= {key: reference[_body(key)] for key in came}
     records.phase[size] = motion.phase
     return names
+
+
+def _body(key: Key) -> tuple[str, str]:
+    """What is solved: limits, and `patch` or, with single tetrahedra, `newton`."""
+    return key.scene, PATCHES if key.contender.startswith(PATCHES) else "newton"
+
+
+def _patches(options: Options) -> dict[str, tuple[float, str]]:
+    """The figures of the default mesh with patches; what is compared takes turns in one run."""
+    motions = {size: _motion(size, options) for size in (DEFAULT_SIZE, UNIT_SIZE)}
+    keys = [Key(DEFAULT_SIZE, "limits", PATCHES), *(Key(size, "limits", "newton") for size in motions)]
+    runners: dict[Key, Runner] = {key: Ours(finger_scene(*key), motions[key.size]) for key in keys}
+    with gauge("patches beside elements") as meter:
+        came = passes.interleaved(runners, options.repeats, meter)
+    touching = {size: motion.phase > PHASES.index("air") for size, motion in motions.items()}
+    patch, element, smallest = (came[key].seconds[:, touching[key.size]] for key in keys)
+
+    def told(other: Floats) -> tuple[float, str]:
+        ours, theirs = (1e6 * median_and_p99(seconds)[0] for seconds in (patch, other))
+        return ratio(patch, other), f"press + slide, {ours:.0f} µs to {theirs:.0f} µs{by_repetition(patch, other)}"
+
+    return {"patch": told(element), "default mesh": told(smallest)}
 
 
 def _with_neo_hookean(found: Makers) -> Makers:

@@ -18,6 +18,8 @@ Mask = NDArray[np.bool_]
 MUJOCO = "MuJoCo"
 UNIT_SIZE = 350
 """Ratios are to MuJoCo at this size."""
+DEFAULT_SIZE = 1000
+"""Of the mesh that the everyday scenes have."""
 SOME, MANY = 80, 270
 """Tetrahedra at a limit in steps that two of the figures look at."""
 
@@ -197,7 +199,9 @@ class Records:
 
 
 def figures(records: Records, extras: Mapping[str, tuple[float, str]]) -> list[Figure]:
-    """All figures, those not measured with NaN. extras: "p99", "allocations", "cold", "cached" and their notes."""
+    """All figures, those not measured with NaN. extras: "p99", "allocations", "cold", "cached", "patch", "default mesh"
+    and their notes.
+    """
     missing = (math.nan, "not asked for")
     touching = ("press", "slide")
 
@@ -217,6 +221,8 @@ def figures(records: Records, extras: Mapping[str, tuple[float, str]]) -> list[F
         extra("p99/median of a step, to that of fixed work", "p99", "×", 1.5, 1.1),
         over("2,000 tets, press + slide", (1.2, 0.5), to(2000, "limits", "newton", touching)),
         _rate(records, 4000, touching),
+        extra("patch against element on the same mesh, whole step, press + slide", "patch", "×", 1.5, 1.25),
+        extra("default mesh with patches, press + slide, to 350 tets with elements", "default mesh", "×", 3.0, 2.0),
         _speed_up(records, touching),
         extra("allocations of compiled code", "allocations", "a step", 0.0, 0.0),
         extra("process start to ready, nothing compiled", "cold", "s", 40.0, 20.0),

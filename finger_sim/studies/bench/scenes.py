@@ -54,8 +54,12 @@ SOLVERS: dict[str, dict[str, Any]] = {
     "newton": {},
     "lagged": {"level": "lagged"},
     "pgs": {"method": "pgs", "max_iterations": 400},
+    "patch": {},
+    "patch lagged": {"level": "lagged"},
 }
 """What each solver changes in `solver`."""
+PATCHES = "patch"
+"""Solvers whose names begin so solve a body whose patches share a volume strain, the others one of single tets."""
 CONVERGED: dict[str, Any] = {"method": "newton", "tolerance": 1e-9, "max_iterations": 200}
 """`solver` of the runs that errors are measured against."""
 
@@ -114,6 +118,8 @@ def finger_scene(size: int, limits: str, solver: str = "newton") -> Scene:
     if not (shipped("config") / MESHES[size]).is_file():
         raise BenchError(f"{MESHES[size]}: this mesh is not in {shipped('config')}")
     data = BASE | {"mesh": {"file": MESHES[size]}, "solver": BASE["solver"] | SOLVERS[solver]}
+    if solver.startswith(PATCHES):
+        data["material"] = BASE["material"] | {"volumetric": "patch"}
     if LIMITS[limits] is not None:
         data["limits"] = LIMITS[limits]
     return Scene.from_dict(data, base=shipped("config"))

@@ -15,7 +15,6 @@ import numpy as np
 from ...bags.layout import node_strain
 from ...physics.step import Status
 from ...pictures.surfaces import View, draw_body, draw_ground, look, new_figure, strain_bar
-from ...scene import Scene
 from ...scene.mesh import TetMesh
 from .figures import Finding, Meter
 from .presses import BODIES, DIRECTIONS, MATERIALS, TILT, Body, Key, Press, press, scene_of
@@ -87,7 +86,7 @@ def measure(progress: Meter, bodies: Mapping[str, Body] = BODIES, finer: bool = 
         scene, way = scene.with_values({"dt": 0.5 * scene.dt}), replace(way, speed=0.5 * way.speed)
         repeated[key] = press(scene, way, ENOUGH, _part(progress, done, 4.0, total))
         done += 4.0
-    return Result(presses, repeated, Scene.load(BODIES[STEPS].scene).load_mesh())
+    return Result(presses, repeated, scene_of((STEPS, next(iter(DIRECTIONS)), next(iter(MATERIALS)))).load_mesh())
 
 
 def _part(progress: Meter, done: float, weight: float, total: float) -> Callable[[float], None]:

@@ -13,7 +13,7 @@ from ...scene import Scene
 from ...scene.locking import bulk_to_shear, count, isochoric_strain, volume_at_limit
 from ...scene.mesh import TetMesh
 from .figures import Finding, Meter
-from .presses import FINELY, Press, Way, press
+from .presses import FINELY, PAPERS, Press, Way, press
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,16 +27,16 @@ PROJECTIONS = ("isotropic", "linear", "tensor", "hyperbolic", "orthogonal")
 """From the loosest to the tightest. `isotropic`: 0.75-1.25 everywhere, the others the paper's finger."""
 METHODS = ("newton", "pgs")
 POISSON = (0.3, 0.35, 0.4, 0.45, 0.48, 0.49, 0.495)
-SWEPT = ("none", "isotropic", "tensor", "hyperbolic")
-"""Pressed at each of POISSON."""
+SWEPT = ("none", "patches", "isotropic", "tensor", "hyperbolic")
+"""Pressed at each of POISSON; `none`, `patches`: without limits, with the paper's element and with patches."""
 MOST = 3.0
 """End of the pictures' scale of strain/limit."""
 
 SIZE = (13.0, 7.2)
 VIEW = View(8.0, -62.0)
 COLORS = {
-    "none": "0.65", "isotropic": "#7b8794", "linear": "#d1730f", "tensor": "#2a7f4f", "hyperbolic": "#0b5394",
-    "orthogonal": "#a61c3c",
+    "none": "0.65", "patches": "0.25", "isotropic": "#7b8794", "linear": "#d1730f", "tensor": "#2a7f4f",
+    "hyperbolic": "#0b5394", "orthogonal": "#a61c3c",
 }  # fmt: skip
 
 
@@ -63,24 +63,30 @@ def measure(
 
     presses = {name: {method: pressed(scene_of(name, method)) for method in METHODS} for name in projections}
     forces = {name: [pressed(scene_of(name, "newton", nu)).force_at(DEPTH) for nu in poisson] for name in SWEPT}
-    return Result(Scene.load(SCENE).load_mesh(), presses, forces)
+    return Result(base().load_mesh(), presses, forces)
+
+
+def base() -> Scene:
+    """The finger on the paper's mesh, with its element."""
+    return Scene.load(SCENE).with_values(PAPERS)
 
 
 def scene_of(projection: str, method: str, poisson: float | None = None) -> Scene:
-    """The finger with a projection (`none`: no limits), a solver and, unless it is the scene's, a Poisson's ratio."""
+    """The finger with a projection (see SWEPT), a solver and, unless it is the scene's, a Poisson's ratio."""
     values: dict[str, Any] = {**FINELY, "limits.projection": projection, "solver.method": method}
-    if projection == "none":
-        values = {**FINELY, "limits": None, "solver.method": method}
+    if projection in ("none", "patches"):
+        element = "element" if projection == "none" else "patch"
+        values = {**FINELY, "limits": None, "solver.method": method, "material.volumetric": element}
     elif projection == "isotropic":
         values |= {"limits.stretch": 1.25, "limits.compress": 0.75}
     if poisson is not None:
         values["material.poisson"] = poisson
-    return Scene.load(SCENE).with_values(values)
+    return base().with_values(values)
 
 
 def numbers(result: Result) -> dict[str, Any]:
     """What may lock, and what did. mean_force_n: over the deeper half of a press, as `orthogonal` chatters."""
-    scene, mesh = Scene.load(SCENE), result.mesh
+    scene, mesh = base(), result.mesh
     assert scene.limits is not None
     is_free = np.ones(len(mesh.points), bool)
     is_free[scene.driven_nodes(mesh)] = False
@@ -142,7 +148,7 @@ def findings(result: Result) -> list[Finding]:
             + ", ".join(f"{rise[name]:.1f} times ({name})" for name in rise),
             None,
             "near incompressibility the limits along e1 and e3 leave e2 nowhere to go; without limits pulp that can "
-            "only flow sideways stiffens, and linear tetrahedra do",
+            "only flow sideways stiffens, and linear tetrahedra do, less in patches that share a volume strain",
         ),
         Finding(
             "(the rule makes a difference)",
@@ -216,14 +222,14 @@ def _counts(axes: Axes, result: Result) -> None:
 
 def _ratios(axes: Axes, result: Result) -> None:
     for name, forces in result.forces.items():
-        label = "no limits" if name == "none" else name
+        label = {"none": "no limits", "patches": "no limits, patches"}.get(name, name)
         axes.plot(POISSON[: len(forces)], forces, "o-", color=COLORS[name], markersize=4, label=label)
     axes.set(xlabel="Poisson's ratio ν", ylabel=f"force at {1e3 * DEPTH:g} mm [N]", ylim=(0.0, None))
     axes.legend(frameon=False, fontsize=8.5, loc="upper left")
 
 
 def _caption(result: Result) -> str:
-    material = Scene.load(SCENE).material
+    material = base().material
     return (
         f"The finger on its bone pressed flat by {1e3 * DEPTH:g} mm: {len(result.mesh.tets)} tetrahedra, "
         f"E {1e-3 * material.young:g} kPa, ν {material.poisson:g} above and left, limits 0.95–1.05, 0.75–1.25, "

@@ -21,6 +21,7 @@ from ...simulation.simulator import Simulator
 from ..bench.bench import describe_machine
 from ..shared import poses
 from .figures import Finding, Meter
+from .presses import PAPERS, TISSUE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,9 +38,9 @@ class Contender(NamedTuple):
 
 SLIDE = "press_slide"
 CONTENDERS = {
-    "hyperbolic, pgs": Contender("finger", {}, SLIDE),
-    "hyperbolic, newton": Contender("finger", {"solver.method": "newton"}, SLIDE),
-    "tensor, newton": Contender("finger_haptic", {}, SLIDE),
+    "hyperbolic, pgs": Contender("finger", PAPERS, SLIDE),
+    "hyperbolic, newton": Contender("finger", PAPERS | {"solver.method": "newton"}, SLIDE),
+    "tensor, newton": Contender("finger_haptic", TISSUE, SLIDE),
     "rigid hyperbolic, pgs": Contender("finger_paper", {}, None),
 }
 SIDE_PRESS = (Stroke(0.1, (0.0, 0.0, 0.0)), Stroke(1.2, (0.0, 0.0, -7e-3)), Stroke(0.6, (0.0, 0.0, 0.0)))

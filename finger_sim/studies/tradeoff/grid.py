@@ -12,6 +12,7 @@ A grid file (YAML) changes a scene by dotted keys:
       - {solver.method: pgs, solver.max_iterations: 400}
 
 The scene itself, with `base`, is the first point. `finger_sim tradeoff` without a file runs DEFAULT.
+A point that changes `mesh.file` from one shipped finger to another has that one's modulus, unless it names its own.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from typing import Any
 
 from ...errors import SceneError
 from ...scene import Scene
+from ...scene.calibration import name_of, scene_on
 from ...scene.fields import UNKNOWN_KEY
 from ...scene.yaml_text import YamlText
 from .motion import TradeoffError
@@ -51,8 +53,14 @@ RIGID: dict[str, Any] = {"solver.method": "pgs", "solver.tolerance": 1e-6, "solv
 """Where limits are rigid, which only pgs solves."""
 CONTACT = 1e3
 """plane.stiffness of a reference."""
-FINE: tuple[tuple[int, float, int], ...] = ((1000, 2.5e-4, 8), (4000, 5e-4, 4), (10**9, 1e-3, 1))
-"""Time steps of a reference: up to how many tetrahedra, dt [s], substeps."""
+FINE: tuple[tuple[int, float, int], ...] = ((700, 2.5e-4, 8), (1500, 5e-4, 4), (3000, 1e-3, 4), (10**9, 1e-3, 1))
+"""Time steps of a reference: up to how many tetrahedra, dt [s], substeps. Finer ones would take longer than a study."""
+MESH = ("mesh.file", "material.volumetric")
+"""Keys that say which mesh and element stand for the body."""
+MEANT = "finger_4000"
+"""The finger that is meant: this mesh, with patches, converged."""
+BONE = "bone"
+"""Node set driven in a finger that others stand for: one held elsewhere is another body on each mesh."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,7 @@ class Point:
 
     scene: Scene
     name: str  # of the shipped scene or the file
-    changed: Mapping[str, Any]  # dotted keys, besides the base
+    changed: Mapping[str, Any]  # dotted keys that differ from the base
 
     @property
     def knob(self) -> str:
@@ -87,7 +95,7 @@ class Grid:
     sweeps: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     product: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     points: Sequence[Mapping[str, Any]] = ()
-    fits_all: bool = False  # what a scene refuses is left out, and finger meshes where it is no such finger
+    fits_all: bool = False  # what a scene refuses is left out, and finger meshes where it is no finger on its bone
 
     def changes(self) -> Iterator[dict[str, Any]]:
         """What each point changes, besides the base."""
@@ -133,64 +141,91 @@ def _checked(data: Any) -> dict[str, Any]:
     return data
 
 
+FINGERS = tuple(f"meshes/{name}.vtu" for name in ("finger_500", "finger", "finger_2000", "finger_paper"))
+"""Meshes of the same body."""
+PATCHES: dict[str, Any] = {"material.volumetric": "patch"}
 DEFAULT = Grid(
     sweeps={
-        "dt": [2.5e-4, 5e-4, 2e-3, 4e-3, 1e-2],
-        "substeps": [2, 4, 8],
-        "solver.tolerance": [1e-1, 1e-2, 1e-4, 1e-6],
-        "solver.max_iterations": [1, 2, 3, 4],
-        "solver.relinearizations": [1, 2, 4],
-        "solver.level": ["lagged"],
-        "limits.stiffness": [3.0, 10.0, 30.0, 300.0],
-        "limits.viscosity": [0.0, 2.0, 32.0],
-        "plane.stiffness": [10.0, 30.0, 120.0, 250.0, 1000.0],
-        "limits.projection": ["hyperbolic", "orthogonal", "linear"],
+        "dt": [5e-4, 1e-2],
+        "substeps": [2, 4],
+        "solver.tolerance": [1e-1, 1e-2, 1e-4],
+        "solver.max_iterations": [1, 2],
+        "solver.relinearizations": [1],
+        "limits.stiffness": [10.0, 30.0],
+        "limits.viscosity": [0.0],
+        "plane.stiffness": [30.0, 1000.0],
+    },
+    product={
+        "mesh.file": FINGERS,
+        "material.volumetric": ["patch", "element"],
+        "solver.level": ["standard", "lagged"],
+        "dt": [1e-3, 2e-3, 4e-3],
     },
     points=(
         {"solver.method": "newton", "solver.max_iterations": 30},
         {"solver.method": "pgs", "solver.max_iterations": 400},
-        {"solver.method": "pgs", "solver.max_iterations": 30},
-        {"solver.method": "pgs", "solver.max_iterations": 400, "dt": 4e-3},
-        {"solver.level": "lagged", "dt": 5e-4},
-        {"solver.level": "lagged", "dt": 2e-3},
-        {"solver.level": "lagged", "substeps": 2},
-        {"solver.level": "lagged", "substeps": 4},
-        {"solver.level": "lagged", "solver.tolerance": 1e-2},
         {"solver.level": "lagged", "plane.stiffness": 250.0},
-        {"solver.level": "lagged", "plane.stiffness": 250.0, "dt": 2e-3},
-        {"solver.level": "lagged", "plane.stiffness": 250.0, "dt": 4e-3},
-        {"solver.level": "lagged", "plane.stiffness": 1000.0, "substeps": 2},
         {"solver.level": "lagged", "plane.stiffness": 1000.0, "substeps": 4},
-        {"plane.stiffness": 1000.0, "substeps": 4},
         {"plane.stiffness": 1000.0, "substeps": 4, "solver.relinearizations": 1},
-        {"plane.stiffness": 1000.0, "substeps": 16, "solver.relinearizations": 1},
-        {"mesh.file": "meshes/finger_2000.vtu"},
-        {"mesh.file": "meshes/finger_2000.vtu", "solver.level": "lagged"},
-        {"mesh.file": "meshes/finger_2000.vtu", "dt": 4e-3},
-        {"mesh.file": "meshes/finger_4000.vtu", "dt": 2e-3},
+        {"mesh.file": f"meshes/{MEANT}.vtu", **PATCHES, "dt": 2e-3},
+        {"mesh.file": f"meshes/{MEANT}.vtu", **PATCHES, "dt": 4e-3, "solver.level": "lagged"},
     ),
     fits_all=True,
 )
 """For the shipped finger scenes; for others what of it fits."""
-FINGER = "finger_paper.vtu"
-"""Mesh that has finer ones of the same body."""
 
 
 def points(name: str, grid: Grid) -> list[Point]:
     """The points of a scene, each scene once. Raises SceneError when a key is unknown or a value is refused."""
-    base = Scene.load(name).with_values({**AWAKE, **grid.base})
+    base = changed(Scene.load(name), {**AWAKE, **grid.base})
     out: dict[Scene, Point] = {}
     for change in grid.changes():
-        if grid.fits_all and "mesh.file" in change and Path(base.mesh.file or "").name != FINGER:
+        if grid.fits_all and "mesh.file" in change and not on_bone(base):
             continue
         try:
-            scene = base.with_values(change)
+            scene = changed(base, change)
         except SceneError:
             if grid.fits_all:
                 continue
             raise
-        out.setdefault(scene, Point(scene, Path(name).stem, change))
+        out.setdefault(scene, Point(scene, Path(name).stem, _differing(base, scene, change)))
     return list(out.values())
+
+
+def _differing(base: Scene, scene: Scene, change: Mapping[str, Any]) -> dict[str, Any]:
+    """Of what a point changes, what the base has otherwise: a product names all its keys."""
+    had, has = ({one.name: one.value for one in of.parameters()} for of in (base, scene))
+    return {key: value for key, value in change.items() if key not in had or had[key] != has.get(key)}
+
+
+def changed(scene: Scene, values: Mapping[str, Any]) -> Scene:
+    """The scene with dotted keys changed. A change between shipped fingers changes `material.young` with it, unless
+    that is named too. Raises SceneError as `Scene.with_values` does.
+    """
+    file = values.get("mesh.file")
+    if isinstance(file, str) and "material.young" not in values and name_of(scene.mesh.file) and name_of(file):
+        scene = scene_on(scene, file)
+    return scene.with_values(values)
+
+
+def on_bone(scene: Scene) -> bool:
+    """Whether it is a shipped finger driven by its bone, which every other shipped finger stands for too."""
+    return name_of(scene.mesh.file) is not None and scene.driven == BONE
+
+
+def meant(scene: Scene, mesh: str = MEANT) -> Scene | None:
+    """The finger that is meant, in a scene's setting: on the finest mesh, with patches. None where it is no such
+    finger, or where its limits are rigid, which nothing solves on that mesh.
+    """
+    if not on_bone(scene) or not soft(scene):
+        return None
+    method: dict[str, Any] = {"solver.method": "newton"}
+    return scene_on(scene, mesh).with_values(method | PATCHES)
+
+
+def has_mesh_error(point: Point) -> bool:
+    """Whether a point stands for the same finger as its base: only mesh, element and how it is solved were changed."""
+    return on_bone(point.scene) and all(is_how(key) or key in MESH for key in point.changed)
 
 
 def reference(scene: Scene, base: Scene, tets: int, coarser: int = 1) -> Scene:

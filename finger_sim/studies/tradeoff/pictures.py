@@ -1,4 +1,4 @@
-"""Pictures of a trade-off study: error against computing time, rate against error; a dot a point, by what changed."""
+"""Pictures of a trade-off study: a dot a point; solver and mesh error on one axis, each alone, rate against error."""
 
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLORS = ("#0b5394", "#d1730f", "#2a7f4f", "#7a5ba6", "#b3332e", "#1f9aa8", "#8a6d3b", "#d65f9e", "#6b8e23", "#555555")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 BASE_COLOR, LINE_COLOR, FELT_COLOR = "black", "0.35", "#b3332e"
 SIZE = (11.0, 6.2)
 """Of a picture [inch]."""
+DOT = 40.0
+"""Area of a dot [point²]."""
 TINY = 1e-6
 """Smallest error drawn."""
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
@@ -29,13 +32,15 @@ LETTER = (5.5, 11.0)
 
 
 def draw(rows: Sequence[Row], out: Path) -> list[Path]:
-    """For each scene and motion <scene>_<motion>_error.png and …_rate.png in a folder."""
+    """For each scene and motion <scene>_<motion>_error.png and …_rate.png in a folder; …_total.png for a finger."""
     made = []
     for scene, motion in dict.fromkeys((row.scene, row.motion) for row in rows):
         of = [row for row in rows if (row.scene, row.motion) == (scene, motion) and row.step_p99_s > 0.0]
         if of:
             made.append(save(error_against_time(of), out / f"{scene}_{motion}_error.png"))
             made.append(save(rate_against_error(of), out / f"{scene}_{motion}_rate.png"))
+            if any(row.total_force_rel > 0.0 for row in of):
+                made.append(save(total_against_time(of), out / f"{scene}_{motion}_total.png"))
     return made
 
 
@@ -56,23 +61,63 @@ def error_against_time(rows: Sequence[Row]) -> Figure:
                       ha="right", va="top", fontsize=8, color="0.45")  # fmt: skip
     left.set_title("how it is solved: against the same model, converged", fontsize=10, loc="left")
     left.set_ylabel("force error, RMS over peak force")
-    what = [row for row in rows if not row.how and row.model_force_rel > 0.0]
+    what = [row for row in rows if not row.how and row.model_force_rel > 0.0 and math.isnan(row.total_force_rel)]
     cost, error = [row.cost for row in what], [row.model_force_rel for row in what]
     _logarithmic(right, cost, [*error, WEBER])
     _dots(right, what, cost, error, [])
     right.set_title("what is solved: the model, converged, against the base's", fontsize=10, loc="left")
     for axes in (left, right):
+        _real_time_and_weber(axes)
         axes.set_xlabel("computing time for a second simulated [s]")
-        axes.axvline(1.0, color=LINE_COLOR, linewidth=0.9, linestyle=":")
-        axes.annotate("real time", (1.0, 0.01), xycoords=("data", "axes fraction"), rotation=90, fontsize=8,
-                      color=LINE_COLOR, ha="right", va="bottom")  # fmt: skip
-        axes.yaxis.set_major_formatter(lambda value, _: f"{100.0 * value:g} %")
-        axes.axhline(WEBER, color=FELT_COLOR, linewidth=1.0, linestyle="--")
-        axes.annotate(f"not felt under {WEBER:.0%} of {AT_FORCE:g} N", (0.985, WEBER), xytext=(0, 2),
-                      xycoords=("axes fraction", "data"), textcoords="offset points", ha="right", va="bottom",
-                      fontsize=8, color=FELT_COLOR)  # fmt: skip
     figure.text(0.012, 0.015, _caption(rows, [how[k] for k in best], 165), fontsize=8, color="0.3", linespacing=1.4)
     return figure
+
+
+def total_against_time(rows: Sequence[Row]) -> Figure:
+    """Error of force against the finger that is meant over computing time: by mesh and element, down to its solver's.
+
+    A line hangs from each point down to what of its error is the solver's; the rest is the mesh's.
+    """
+    figure = new_figure(0.9 * SIZE[0], 1.1 * SIZE[1])
+    axes = figure.add_axes((0.08, 0.27, 0.9, 0.71))
+    told = [row for row in rows if row.total_force_rel > 0.0]
+    cost, total = [row.cost for row in told], [row.total_force_rel for row in told]
+    part = [row.solver_part if row.solver_part > TINY else TINY for row in told]
+    best = front(cost, total)
+    _logarithmic(axes, cost, [*total, *part, WEBER])
+    axes.vlines(cost, part, total, color="0.82", linewidth=0.7, zorder=1)
+    axes.scatter(cost, part, marker="_", s=18, color="0.6", linewidths=0.9, zorder=1)
+    meshes = {row.mesh: row.tets for row in sorted(told, key=lambda row: row.tets)}
+    for k, (mesh, tets) in enumerate(meshes.items()):
+        color, style = COLORS[k % len(COLORS)], MARKERS[k % len(MARKERS)]
+        axes.scatter([], [], c=color, marker=style, s=DOT, label=f"{mesh}, {tets:,} tetrahedra")
+        for i, row in enumerate(told):
+            if row.mesh == mesh:
+                face = color if row.volumetric == "patch" else "white"
+                size = DOT if row.level == "standard" else 0.4 * DOT
+                axes.scatter(cost[i], total[i], c=face, marker=style, s=size, edgecolors=color, zorder=3)
+    axes.scatter([], [], c="white", edgecolors="0.3", s=DOT, label="hollow: element; filled: patch; small: lagged")
+    axes.vlines([], [], [], color="0.7", label="down to the solver's error")
+    _front(axes, cost, total, best)
+    _real_time_and_weber(axes)
+    axes.set_xlabel("computing time for a second simulated [s]: at 1 kHz the mean time of a step [ms]")
+    axes.set_ylabel("force error against the finger that is meant, RMS over peak force")
+    axes.legend(fontsize=7.5, frameon=False, loc="lower left")
+    caption = "\n".join(textwrap.wrap(_total_caption(told, [told[k] for k in best]), 160))
+    figure.text(0.012, 0.012, caption, fontsize=7.5, color="0.3", linespacing=1.35)
+    return figure
+
+
+def _real_time_and_weber(axes: Axes) -> None:
+    """Lines at a second's computing for a second, and at the difference that is not felt."""
+    axes.axvline(1.0, color=LINE_COLOR, linewidth=0.9, linestyle=":")
+    axes.annotate("real time", (1.0, 0.01), xycoords=("data", "axes fraction"), rotation=90, fontsize=8,
+                  color=LINE_COLOR, ha="right", va="bottom")  # fmt: skip
+    axes.yaxis.set_major_formatter(lambda value, _: f"{100.0 * value:g} %")
+    axes.axhline(WEBER, color=FELT_COLOR, linewidth=1.0, linestyle="--")
+    axes.annotate(f"not felt under {WEBER:.0%} of {AT_FORCE:g} N", (0.985, WEBER), xytext=(0, 2),
+                  xycoords=("axes fraction", "data"), textcoords="offset points", ha="right", va="bottom",
+                  fontsize=8, color=FELT_COLOR)  # fmt: skip
 
 
 def rate_against_error(rows: Sequence[Row]) -> Figure:
@@ -164,6 +209,27 @@ def _front(axes: Axes, x: Sequence[float], y: Sequence[float], best: Sequence[in
     for letter, k in zip(LETTERS, best, strict=False):
         axes.annotate(letter, (x[k], y[k]), xytext=(-3, -11), textcoords="offset points", fontsize=8, weight="bold",
                       ha="right")  # fmt: skip
+
+
+def _total_caption(rows: Sequence[Row], best: Sequence[Row]) -> str:
+    """What the picture is of, and the points of the line by their letters."""
+    named = [
+        f"{letter}: {', '.join([row.mesh, row.volumetric, row.level, f'dt {1e3 * row.dt_s:g} ms', *_besides(row)])}"
+        for letter, row in zip(LETTERS, best, strict=False)
+    ]
+    base = rows[0]
+    return (
+        f"{base.scene}, {base.motion}. The finger that is meant: {base.meant} with patches, converged; each mesh has "
+        "its own modulus. Where solver and mesh err in opposite ways the whole is less than the solver's part. The "
+        f"line joins what nothing beats in both. {'. '.join(named)}."
+    )
+
+
+def _besides(row: Row) -> list[str]:
+    """Changes that the caption's first words do not tell."""
+    told = ("mesh.file", "material.volumetric", "solver.level", "dt")
+    parts = [part.partition("=") for part in row.changed.split("; ") if part]
+    return [f"{key.rpartition('.')[2]} {value}" for key, _, value in parts if key not in told]
 
 
 def _caption(rows: Sequence[Row], best: Sequence[Row], width: int) -> str:

@@ -1,8 +1,9 @@
-"""`finger_sim tradeoff --for-rate HZ`: the most accurate settings of a scene that hold a rate on this machine.
+"""`finger_sim tradeoff --for-rate HZ`: the most accurate mesh and settings of a scene that hold a rate on this machine.
 
-Only how the scene is solved is changed (dt = 1/HZ). A setting holds the rate when 99 of 100 steps take no longer
-than HEADROOM of the period: the rest is for the loop around the step. Of those that hold, the one with the least
-force error; of some that are as good to CLOSE, the fastest.
+Of a shipped finger on its bone, mesh and element are chosen (MESHES), the error is against the finger that is meant;
+of any other scene only how it is solved (dt = 1/HZ), the error is against the same model, converged. A setting holds
+the rate when 99 of 100 steps take no longer than HEADROOM of the period: the rest is for the loop around the step. Of
+those that hold, the one with the least force error; of some that are as good to CLOSE, the fastest.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from ...console import table
 from ...errors import FingerSimError
 from ...scene import Scene
 from ..bench.bench import describe_machine
-from .grid import AWAKE, reference, soft
+from .grid import AWAKE, MEANT, changed, meant, reference, soft
 from .measures import Errors, errors, peak_force
 from .motion import Motion, TradeoffError, motion
 from .run import Course, Times, course, portable, times
-from .scene import Measured, write_scene
-from .store import writable
+from .scene import Meant, Measured, write_scene
+from .store import Store, job
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -42,6 +43,12 @@ NEWTON: tuple[dict[str, Any], ...] = (
 )
 PGS: tuple[dict[str, Any], ...] = tuple({"solver.tolerance": tolerance} for tolerance in (1e-1, 1e-2, 1e-3, 1e-4))
 """Settings tried, fast ones first: where limits give way, and where they are rigid."""
+MESHES: tuple[dict[str, Any], ...] = tuple(
+    {"mesh.file": f"meshes/{name}.vtu", "material.volumetric": volumetric}
+    for name in ("finger_500", "finger", "finger_2000", MEANT)
+    for volumetric in ("patch", "element")
+)
+"""Bodies tried in the place of a shipped finger, besides its own."""
 CONTACT = (250.0, 1000.0)
 """plane.stiffness tried with each, besides the scene's."""
 
@@ -53,8 +60,8 @@ class Try:
     changed: Mapping[str, Any]
     times: Times
     holds: bool
-    errors: Errors | None = None
-    peak: float = 0.0  # force [N]
+    errors: Errors | None = None  # against the finger that is meant; where there is none, the same model, converged
+    own: Course | None = None
 
 
 @dataclass(frozen=True)
@@ -66,8 +73,13 @@ class Found:
     scene: Path | None  # written; None where none holds
 
 
-def for_rate(name: str, rate: float, bag: str | None, duration: float | None, out: Path, progress: Meter) -> Found:
-    """Search, and write OUT/<scene>_<rate>hz.yaml. Raises SceneError, MeshError, BagError or TradeoffError."""
+def for_rate(
+    name: str, rate: float, bag: str | None, duration: float | None, out: Path, progress: Meter, mesh: str = MEANT
+) -> Found:
+    """Search, and write OUT/<scene>_<rate>hz.yaml; mesh: of the finger that is meant.
+
+    Converged runs are kept in OUT/points. Raises SceneError, MeshError, BagError or TradeoffError.
+    """
     given = Scene.load(name)
     try:
         scene = given.with_values({**AWAKE, "dt": 1.0 / rate, "substeps": 1, "solver.relinearizations": 0})
@@ -76,27 +88,53 @@ def for_rate(name: str, rate: float, bag: str | None, duration: float | None, ou
     path = motion(scene, bag, duration)
     if path.steps(scene.dt) < 3:
         raise TradeoffError(f"--for-rate: got {rate:g} Hz, allowed: three steps or more in {path.duration:g} s")
-    writable(out)
+    store = Store(out / "points")
     scene = scene.with_values({"solver.level": "standard"})
     if soft(scene):
         contact = {"plane.stiffness": CONTACT[-1]} if scene.plane and scene.plane.stiffness is None else {}
         scene = scene.with_values({**FAST, **contact})
-    tries = search(ladder(scene), lambda changed: _timed(scene, changed, path), scene.dt, progress)
+    finger = meant(scene, mesh)
+    tries = search(ladders(scene, finger), lambda values: _timed(scene, values, path), scene.dt, progress)
     if not any(one.holds for one in tries):
         return Found(tries, choose(tries), None)
-    tets = len(scene.load_mesh().tets)
-    converged, coarser = (course(portable(reference(scene, scene, tets, coarser=k)), path, False) for k in (1, 2))
-    tries = [_with_errors(one, scene, path, converged) if one.holds else one for one in tries]
+    exact = _converged(scene if finger is None else finger, scene, path, store)
+    tries = [_with_errors(one, scene, path, exact) if one.holds else one for one in tries]
     best = choose(tries)
+    chosen = changed(scene, {**best.changed, "solver.sleep": given.solver.sleep})
     assert best.errors is not None
-    doubt = errors(coarser, converged, None).force_rel
-    measured = Measured(best.errors, doubt, best.peak, best.times)
-    chosen = scene.with_values({**best.changed, "solver.sleep": given.solver.sleep})
+    assert best.own is not None
+    same, coarser = (_converged(chosen, scene, path, store, k) for k in (1, 2))
+    off = None if finger is None else Meant(mesh, errors(same, exact, None), best.errors)
+    doubt = errors(coarser, same, None).force_rel
+    measured = Measured(errors(best.own, same, None), doubt, peak_force(best.own), best.times, off)
     comments = [
         f"The most accurate settings of {name} that were found to hold {rate:g} Hz: `finger_sim tradeoff --for-rate`.",
         *measured.sentences(path.name, describe_machine()["cpu"]),
     ]
     return Found(tries, best, write_scene(out / f"{Path(name).stem}_{rate:g}hz.yaml", chosen, comments))
+
+
+def _converged(scene: Scene, base: Scene, path: Motion, store: Store, coarser: int = 1) -> Course:
+    """The scene's model, converged: of before where it is there."""
+    tets = len(scene.load_mesh().tets)
+    wanted = job("course", reference(scene, base, tets, coarser), path, tets)
+    found = store.load(wanted)
+    if not isinstance(found, Course):
+        found = course(portable(wanted.scene), path, False)
+        store.save(wanted, found)
+    return found
+
+
+def ladders(scene: Scene, finger: Scene | None) -> list[list[dict[str, Any]]]:
+    """Settings to try, a list for each body: that of the scene and, where another finger is meant, MESHES.
+
+    On each, fast settings come first.
+    """
+    bodies: dict[Scene, dict[str, Any]] = {scene: {}}
+    if finger is not None:
+        for body in MESHES:
+            bodies.setdefault(changed(scene, body), body)
+    return [[{**body, **setting} for setting in ladder(scene)] for body in bodies.values()]
 
 
 def ladder(scene: Scene) -> list[dict[str, Any]]:
@@ -109,18 +147,29 @@ def ladder(scene: Scene) -> list[dict[str, Any]]:
 
 
 def search(
-    settings: Sequence[Mapping[str, Any]], clock: Callable[[Mapping[str, Any]], Times], dt: float, progress: Meter
+    bodies: Sequence[Sequence[Mapping[str, Any]]],
+    clock: Callable[[Mapping[str, Any]], Times],
+    dt: float,
+    progress: Meter,
 ) -> list[Try]:
-    """Time every setting with more and more substeps, as long as it holds steps of `dt` [s]."""
+    """Time every setting of every body with more and more substeps, as long as it holds steps of `dt` [s].
+
+    A body whose first setting misses even the whole period has no other tried.
+    """
     tries = []
-    for k, setting in enumerate(settings):
-        for i, substeps in enumerate(SUBSTEPS):
-            progress(k * len(SUBSTEPS) + i, len(settings) * len(SUBSTEPS))
-            changed = {**setting, "substeps": substeps}
-            took = clock(changed)
-            tries.append(Try(changed, took, took.p99 <= HEADROOM * dt))
-            if not tries[-1].holds:
+    total, begun = sum(map(len, bodies)) * len(SUBSTEPS), 0
+    for settings in bodies:
+        for k, setting in enumerate(settings):
+            for i, substeps in enumerate(SUBSTEPS):
+                progress(begun + k * len(SUBSTEPS) + i, total)
+                values = {**setting, "substeps": substeps}
+                took = clock(values)
+                tries.append(Try(values, took, took.p99 <= HEADROOM * dt))
+                if not tries[-1].holds:
+                    break
+            if k == 0 and tries[-1].changed["substeps"] == SUBSTEPS[0] and tries[-1].times.p99 > dt:
                 break
+        begun += len(settings) * len(SUBSTEPS)
     return tries
 
 
@@ -138,14 +187,14 @@ def _error(one: Try) -> float:
     return one.errors.force_rel
 
 
-def _timed(scene: Scene, changed: Mapping[str, Any], path: Motion) -> Times:
+def _timed(scene: Scene, values: Mapping[str, Any], path: Motion) -> Times:
     """Given up when its steps take longer than the motion."""
-    return times(portable(scene.with_values(changed)), path, give_up=path.duration)
+    return times(portable(changed(scene, values)), path, give_up=path.duration)
 
 
-def _with_errors(one: Try, scene: Scene, path: Motion, converged: Course) -> Try:
-    own = course(portable(scene.with_values(one.changed)), path, False)
-    return Try(one.changed, one.times, one.holds, errors(own, converged, None), peak_force(own))
+def _with_errors(one: Try, scene: Scene, path: Motion, exact: Course) -> Try:
+    own = course(portable(changed(scene, one.changed)), path, False)
+    return Try(one.changed, one.times, one.holds, errors(own, exact, None), own)
 
 
 def tried(found: Found) -> Table:
@@ -163,5 +212,10 @@ def tried(found: Found) -> Table:
 
 def words(one: Try, times: bool = True) -> str:
     """A setting on one line, with its times."""
-    text = ", ".join(f"{key.removeprefix('solver.')} {value}" for key, value in one.changed.items())
+    text = ", ".join(f"{key.removeprefix('solver.')} {_word(value)}" for key, value in one.changed.items())
     return f"{text}: median {1e3 * one.times.median:.3f} ms, p99 {1e3 * one.times.p99:.3f} ms" if times else text
+
+
+def _word(value: Any) -> str:
+    """A mesh goes by its name."""
+    return Path(value).stem if isinstance(value, str) else str(value)

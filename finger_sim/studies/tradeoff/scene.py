@@ -21,6 +21,15 @@ WIDTH = 118
 
 
 @dataclass(frozen=True)
+class Meant:
+    """What a scene is off the finger that is meant."""
+
+    mesh: str  # of that finger
+    by_mesh: Errors  # of the scene's model, converged: mesh and element
+    total: Errors  # of the scene as it is
+
+
+@dataclass(frozen=True)
 class Measured:
     """What is claimed about a scene."""
 
@@ -28,15 +37,31 @@ class Measured:
     uncertainty: float  # of that: errors' force_rel of it at twice its time step
     peak: float  # force [N]
     times: Times
+    meant: Meant | None = None  # None: no finger of which a finer one is shipped
 
     def sentences(self, motion: str, machine: str) -> list[str]:
         """Errors and times in words."""
-        error, t = self.errors, self.times
+        t = self.times
         return [
+            *self._solver_and_mesh(motion),
+            f"Step time: median {1e3 * t.median:.3f} ms, p99 {1e3 * t.p99:.3f} ms, on one core of {machine}.",
+        ]
+
+    def _solver_and_mesh(self, motion: str) -> list[str]:
+        error = self.errors
+        solver = (
             f"Force error on {motion}, against the same model converged: {error.force_rel:.2%} RMS of the peak force "
             f"({self.peak:.2f} N), {error.force_max_n:.2g} N at most; what it is compared with is good to "
-            f"{self.uncertainty:.2%}.",
-            f"Step time: median {1e3 * t.median:.3f} ms, p99 {1e3 * t.p99:.3f} ms, on one core of {machine}.",
+            f"{self.uncertainty:.2%}."
+        )
+        if self.meant is None:
+            return [solver]
+        mesh, total = self.meant.by_mesh, self.meant.total
+        return [
+            solver,
+            f"Mesh error, against the finger that is meant ({self.meant.mesh} with patches, converged): "
+            f"{mesh.force_rel:.2%} RMS of its peak force, {mesh.force_max_n:.2g} N at most. Both together: "
+            f"{total.force_rel:.2%}, {total.force_max_n:.2g} N at most.",
         ]
 
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -33,7 +33,10 @@ class Row:
     value: str  # to what
     changed: str  # all keys that were changed
     how: bool  # only how it is solved was changed: the model is the base's
+    mesh: str
     tets: int
+    volumetric: str
+    young_pa: float
     dt_s: float
     substeps: int
     method: str
@@ -64,6 +67,17 @@ class Row:
     model_torque_rms_nm: float
     model_node_rms_m: float
     model_slip_onset_s: float
+    meant: str  # mesh of the finger that is meant, which has patches; empty where there is none
+    mesh_force_rms_n: float  # of the model, converged, against the finger that is meant: mesh, element, modulus
+    mesh_force_max_n: float
+    mesh_force_rel: float
+    mesh_torque_rms_nm: float
+    mesh_slip_onset_s: float
+    total_force_rms_n: float  # of the point against the finger that is meant: solver and mesh
+    total_force_max_n: float
+    total_force_rel: float
+    total_torque_rms_nm: float
+    total_slip_onset_s: float
     reference_uncertainty_rel: float  # of what solver_* are against: its error at twice the time step
     felt: bool  # the solver's error reaches 8 % of 5 N
     strain_overshoot: float  # beyond the limit, as a part of it
@@ -82,23 +96,47 @@ class Row:
         """Computing time for a second simulated [s/s]."""
         return self.step_mean_s / self.dt_s
 
+    @property
+    def solver_part(self) -> float:
+        """The solver's error as `total_force_rel` has it: over the peak force of the finger that is meant."""
+        return self.solver_force_rms_n * self.total_force_rel / (self.total_force_rms_n or math.nan)
+
+
+class Courses(NamedTuple):
+    """The runs behind a row."""
+
+    own: Course
+    converged: Course  # the same model
+    coarser: Course  # that, at twice the time step
+    base: Course  # the base's model, converged
+    meant: Course | None = None  # the finger that is meant, converged; None where there is none
+
 
 def row(
-    point: Point, motion: str, tets: int, courses: Sequence[Course], clock: Times | None, refused: Sequence[str]
+    point: Point,
+    motion: str,
+    tets: int,
+    courses: Courses | None,
+    clock: Times | None,
+    *,
+    meant: str = "",
+    refused: Sequence[str] = (),
 ) -> Row:
-    """The row of a point. courses: its own, converged, at twice the time step, of the base; or none."""
+    """The row of a point; courses: None where one of its runs failed. meant: see Row."""
     scene, nan = point.scene, math.nan
-    solver, model, doubt = (Errors(*[nan] * 6),) * 3
+    solver, model, doubt, mesh, total = (Errors(*[nan] * 6),) * 5
     measured: dict[str, Any] = dict.fromkeys(
         ("peak_force_n", "strain_overshoot", "strain_overshoot_reference", "penetration_m", "jitter_held_n",
          "jitter_moving_n", "energy_drift", "factorisations", "iterations", "unsolved"), nan
     )  # fmt: skip
-    if courses:
-        own, converged, coarser, base = courses
+    if courses is not None:
+        own, converged, coarser, base, finger = courses
         plane = scene.plane
         cone = None if plane is None else (plane.unit_normal, plane.friction)
         solver, model = errors(own, converged, cone), errors(converged, base, cone)
         doubt = errors(coarser, converged, cone)
+        if finger is not None:
+            mesh, total = errors(converged, finger, cone), errors(own, finger, cone)
         measured = {
             "peak_force_n": peak_force(own),
             "strain_overshoot": overshoot(own),
@@ -111,6 +149,7 @@ def row(
             "iterations": float(own.work[1]),
             "unsolved": unsolved(own),
         }
+    across: dict[str, Any] = _across("mesh", mesh) | _across("total", total)
     t = clock or Times(0, nan, nan, nan, nan)
     return Row(
         scene=point.name,
@@ -130,6 +169,8 @@ def row(
         holds_rate=t.p99 <= scene.dt,
         **{f"solver_{name}": value for name, value in solver._asdict().items()},
         **{f"model_{name}": value for name, value in model._asdict().items()},
+        meant=meant,
+        **across,
         reference_uncertainty_rel=doubt.force_rel,
         felt=solver.force_max_n >= UNFELT,
         **measured,
@@ -137,11 +178,19 @@ def row(
     )
 
 
+def _across(name: str, errors: Errors) -> dict[str, float]:
+    """Columns of errors between meshes, whose nodes are not the same."""
+    return {f"{name}_{key}": value for key, value in errors._asdict().items() if key != "node_rms_m"}
+
+
 def _settings(scene: Scene) -> dict[str, Any]:
     """Columns that say how a scene is set."""
     limits, plane, solver = scene.limits, scene.plane, scene.solver
     rigid = math.inf
     return {
+        "mesh": "beam" if scene.mesh.file is None else Path(scene.mesh.file).stem,
+        "volumetric": scene.material.volumetric,
+        "young_pa": scene.material.young,
         "dt_s": scene.dt,
         "substeps": scene.substeps,
         "method": solver.method,
@@ -176,13 +225,14 @@ def _cell(value: Any) -> Any:
 
 def summary(rows: Sequence[Row]) -> Table:
     """The main columns of the study's table."""
-    out = table("scene", "changed", "tets", "median ms", "p99 ms", "real time", "Hz held", "solver error", "most N",
-                "model error", "reference", "overshoot", "jitter N", "slip ms")  # fmt: skip
+    out = table("scene", "changed", "tets", "median ms", "p99 ms", "real time", "Hz held", "solver error", "mesh error",
+                "total error", "most N", "model error", "reference", "overshoot", "jitter N", "slip ms")  # fmt: skip
     for row in rows:
         out.add_row(
             row.scene, row.changed, str(row.tets), _number(1e3 * row.step_median_s, ".3f"),
             _number(1e3 * row.step_p99_s, ".3f"), _number(row.real_time_factor, ".2f", "×"),
             _number(row.rate_sustained_hz, ".0f"), _number(row.solver_force_rel, ".3%"),
+            _number(row.mesh_force_rel, ".2%"), _number(row.total_force_rel, ".2%"),
             _number(row.solver_force_max_n, ".3f"), _number(row.model_force_rel, ".2%"),
             _number(row.reference_uncertainty_rel, ".3%"), _number(row.strain_overshoot, ".2f"),
             _number(row.jitter_held_n, ".1e"), _number(1e3 * row.solver_slip_onset_s, "+.1f"),

@@ -4,9 +4,13 @@
 |---|---|---|---|
 | `solver_*` | a point | its own model, converged | time step, solver, tolerance: how it is solved |
 | `model_*` | a point's model, converged | the base's model, converged | mesh, limits, contact: what is solved |
+| `mesh_*` | a point's model, converged | the finger that is meant, converged | mesh and element |
+| `total_*` | a point | the finger that is meant, converged | both: what a user gets |
 
-Converged: a fine time step, tolerance 1e-9, linearised three times a step (tradeoff_grid.py); run at twice that time
-step too, and the difference is told as `reference_uncertainty_rel`.
+Converged: a fine time step, tolerance 1e-9, linearised three times a step (grid.py); run at twice that time step too,
+and the difference is told as `reference_uncertainty_rel`. The finger that is meant: the finest affordable mesh, with
+patches. Every shipped finger has a mesh error; another body has none. Points of one mesh and element share their
+converged run, and all of a scene share the finger that is meant.
 Answers are made in parallel, then times, one after the other. Each finished run is a file in OUT/points: a study
 that was interrupted goes on where it was. The table has one row for each point: see `tradeoff_table.py`.
 """
@@ -14,20 +18,22 @@ that was interrupted goes on where it was. The table has one row for each point:
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ...console import say
 from ...pictures.surfaces import new_figure
-from ...scene import Scene
+from ...scene import MeshSource, Scene
+from ...scene.calibration import MODULUS
 from . import pool
-from .grid import DEFAULT, Grid, Point, points, reference
+from .grid import DEFAULT, MEANT, Grid, Point, has_mesh_error, points, reference
+from .grid import meant as finger_meant
 from .motion import Motion, TradeoffError, motion
 from .pictures import draw
 from .run import Course, Times
 from .store import Job, Store, job
-from .table import Row, row, write_csv
+from .table import Courses, Row, row, write_csv
 
 SCENES = ("finger_haptic",)
 LINE_PERIOD = 5.0
@@ -41,6 +47,7 @@ class Options:
     scenes: Sequence[str] = SCENES
     bags: Sequence[str | None] = (None,)  # None: the built-in motion
     grid: Grid = DEFAULT
+    meant: str = MEANT  # mesh of the finger that is meant: a shipped finger
     duration: float | None = None  # of each motion [s]; None: all of it
     scheduler: str | None = None  # None: a cluster of its own
     workers: int | None = None  # of that cluster; None: one for each processor
@@ -69,15 +76,22 @@ class _Trial:
     converged: Job
     coarser: Job
     base: Job
+    meant: Job | None
+
+    @property
+    def courses(self) -> list[Job]:
+        """All that are no times."""
+        return [job for job in (self.answer, self.converged, self.coarser, self.base, self.meant) if job is not None]
 
 
 def tradeoff(options: Options) -> Report:
     """Run it, write the table and the pictures. Raises TradeoffError, SceneError, MeshError or BagError before."""
     pool.require_dask()
+    checked_finger(options.meant, "--reference")
     new_figure(1.0, 1.0)  # a missing matplotlib shows before anything long
     trials = _trials(options)
     store = Store(options.out / "points")
-    wanted = {job.key: job for t in trials for job in (t.answer, t.converged, t.coarser, t.base)}
+    wanted = {job.key: job for t in trials for job in t.courses}
     clocks = {t.clock.key: t.clock for t in trials}
     outcomes = _outcomes([*wanted.values(), *clocks.values()], options, store)
     rows = [_row(trial, outcomes) for trial in trials]
@@ -107,6 +121,13 @@ def _outcomes(jobs: Sequence[Job], options: Options, store: Store) -> dict[str, 
     return outcomes
 
 
+def checked_finger(mesh: str, option: str) -> str:
+    """The mesh. Raises TradeoffError naming the option where it is no shipped finger."""
+    if mesh not in MODULUS:
+        raise TradeoffError(f"{option}: got {mesh}, allowed: a shipped finger: {', '.join(MODULUS)}")
+    return mesh
+
+
 def _trials(options: Options) -> list[_Trial]:
     """Every point of every scene on every motion; mistakes show here."""
     trials = []
@@ -114,35 +135,46 @@ def _trials(options: Options) -> list[_Trial]:
         of_scene = points(name, options.grid)
         tets = {point.scene.mesh: len(point.scene.load_mesh().tets) for point in of_scene}
         base = of_scene[0].scene
+        finger = finger_meant(base, options.meant)
+        if finger is not None:
+            tets.setdefault(finger.mesh, len(finger.load_mesh().tets))
         for bag in options.bags:
             path = motion(base, bag, options.duration)
             for point in of_scene:
                 if path.steps(point.scene.dt) < 3:
                     raise TradeoffError(f"dt: got {point.scene.dt:g}, allowed: at most a third of {path.duration:g} s")
-                trials.append(_trial(point, path, base, tets[point.scene.mesh], tets[base.mesh]))
+                trials.append(_trial(point, path, base, finger if has_mesh_error(point) else None, tets))
     return trials
 
 
-def _trial(point: Point, path: Motion, base: Scene, tets: int, base_tets: int) -> _Trial:
+def _trial(point: Point, path: Motion, base: Scene, finger: Scene | None, tets: Mapping[MeshSource, int]) -> _Trial:
+    def converged(scene: Scene, coarser: int = 1) -> Job:
+        return job("course", reference(scene, base, tets[scene.mesh], coarser), path, tets[scene.mesh])
+
+    own = tets[point.scene.mesh]
     return _Trial(
         point=point,
         motion=path,
-        tets=tets,
-        answer=job("course", point.scene, path, tets, drift=True),
-        clock=job("times", point.scene, path, tets),
-        converged=job("course", reference(point.scene, base, tets), path, tets),
-        coarser=job("course", reference(point.scene, base, tets, coarser=2), path, tets),
-        base=job("course", reference(base, base, base_tets), path, base_tets),
+        tets=own,
+        answer=job("course", point.scene, path, own, drift=True),
+        clock=job("times", point.scene, path, own),
+        converged=converged(point.scene),
+        coarser=converged(point.scene, coarser=2),
+        base=converged(base),
+        meant=None if finger is None else converged(finger),
     )
 
 
 def _row(trial: _Trial, outcomes: dict[str, pool.Outcome]) -> Row:
-    jobs = (trial.answer, trial.converged, trial.coarser, trial.base, trial.clock)
-    came = [outcomes[job.key] for job in jobs]
+    came = [outcomes[job.key] for job in (*trial.courses, trial.clock)]
     refused = [text for text in came if isinstance(text, str)]
-    courses = [c for c in came[:4] if isinstance(c, Course)]
-    clock = came[4] if isinstance(came[4], Times) else None
-    return row(trial.point, trial.motion.name, trial.tets, courses if len(courses) == 4 else [], clock, refused)
+    runs = [c for c in came if isinstance(c, Course)]
+    courses = None
+    if len(runs) == len(trial.courses):
+        courses = Courses(*runs)
+    clock = came[-1] if isinstance(came[-1], Times) else None
+    meant = "" if trial.meant is None else Path(trial.meant.scene.mesh.file or "").stem
+    return row(trial.point, trial.motion.name, trial.tets, courses, clock, meant=meant, refused=refused)
 
 
 class TimeLeft:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import time
 from typing import Any
 
@@ -17,6 +18,7 @@ from finger_sim import Pose, Simulator
 from finger_sim.cli import main
 from finger_sim.errors import MissingExtraError
 from finger_sim.physics.clock import STAGES
+from finger_sim.studies.bench import bench as bench_module
 from finger_sim.studies.bench import peers
 from finger_sim.studies.bench.figures import (
     MUJOCO,
@@ -139,12 +141,16 @@ def test_stages_and_machine_are_told(ran: dict[str, Any]) -> None:
 
 
 def test_figures_are_told(ran: dict[str, Any]) -> None:
-    """Eleven, each with unit and goals; those not asked for have no value; nothing is allocated."""
-    assert len(ran["figures"]) == 11
+    """Thirteen, each with unit and goals; those not asked for have no value; nothing is allocated."""
+    assert len(ran["figures"]) == 13
     by_name = {figure["name"]: figure for figure in ran["figures"]}
     assert all(figure["unit"] and figure["must"] is not None for figure in ran["figures"])
     assert by_name["allocations of compiled code"]["value"] == 0.0
-    for name in ("10,000 tets, press + slide", "process start to ready, compiled before"):
+    for name in (
+        "4,000 tets, press + slide",
+        "patch against element on the same mesh, whole step, press + slide",
+        "process start to ready, compiled before",
+    ):
         assert by_name[name]["value"] is None
         assert by_name[name]["reached"] == "not measured"
     assert by_name["newton against pgs, ≥ 270 tets at a limit"]["value"] > 0.0
@@ -239,6 +245,22 @@ def test_stage_seconds_fit_into_the_step() -> None:
     assert_array_equal([plain.step(pose) for pose in down][-1].contact_wrench, out.contact_wrench)
     timed.reset()
     assert timed.stage_seconds == dict.fromkeys(STAGES, 0.0)
+
+
+def test_patches_stand_beside_elements(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """With the default mesh two more figures: ratios of medians of runs that took turns, each said with its times."""
+    monkeypatch.setattr(bench_module, "CONTENDERS", {1000: [("limits", "patch")]})
+    monkeypatch.setattr(bench_module, "STAGED", [])
+    report = bench_module.bench(bench_module.Options((1000,), 1, 0.01, peers=False, startup=False))
+    by_name = {figure.name: figure for figure in report.figures}
+    for name in (
+        "patch against element on the same mesh, whole step, press + slide",
+        "default mesh with patches, press + slide, to 350 tets with elements",
+    ):
+        ours, theirs = map(float, re.findall(r"(\d+) µs", by_name[name].note))
+        assert_allclose(by_name[name].value, ours / theirs, rtol=0.02)
+    assert {row.contender for row in report.rows} == {"patch"}
+    assert max(row.error_max for row in report.rows) < 0.03
 
 
 def test_absent_peers_cost_the_ratios_only(capsys: pytest.CaptureFixture[str]) -> None:

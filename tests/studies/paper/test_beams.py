@@ -17,6 +17,7 @@ from scipy.sparse import diags_array
 from scipy.sparse.linalg import eigsh
 
 from finger_sim import Scene
+from finger_sim.physics.patches import partition
 from finger_sim.scene.meshing import beam
 from finger_sim.studies.paper import beams as figure_beams
 from finger_sim.studies.paper.beam_measures import (
@@ -81,7 +82,7 @@ def short() -> Result:
 @pytest.fixture(scope="module")
 def result(long: Result, short: Result) -> Result:
     beams = long.beams | short.beams
-    return Result({name: beams[name] for name in BEAMS}, long.small)
+    return Result({name: beams[name] for name in BEAMS}, long.small, long.patched)
 
 
 # --- what is read off a signal ------------------------------------------------------------------------------
@@ -191,6 +192,41 @@ def test_the_small_sag_is_that_of_linear_tetrahedra(quick: Result) -> None:
     assert small["sag_below_quadratic_percent"] == pytest.approx(32.1, abs=0.2)
     assert small["stiffness_over_quadratic"] == pytest.approx(1.473, abs=0.005)
     assert small["sag_quadratic_m"] == pytest.approx(small["sag_beam_theory_m"], rel=0.04)
+
+
+def test_patches_free_the_volume_but_not_the_bending(quick: Result) -> None:
+    """A third too stiff instead of a half: the tip under a load of one direct solve, patches as rank-one blocks."""
+    scene = Scene.load(STIFF)
+    mesh = scene.load_mesh()
+    X, tets, held = mesh.points, mesh.tets, np.flatnonzero(mesh.points[:, 0] < 1e-9)
+    young, poisson = scene.material.young, scene.material.poisson
+    mu, kappa = young / (2.0 * (1.0 + poisson)), young / (3.0 * (1.0 - 2.0 * poisson))
+    edges = np.swapaxes(X[tets[:, 1:]] - X[tets[:, :1]], 1, 2)
+    volume, inner = np.linalg.det(edges) / 6.0, np.linalg.inv(edges)
+    slope = np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
+    divergence = np.zeros((len(tets), X.size))
+    K, load = np.zeros((X.size, X.size)), np.zeros(X.shape)
+    for e, nodes in enumerate(tets):
+        dofs = (3 * nodes[:, None] + np.arange(3)).ravel()
+        gradient = np.einsum("nb,ij->nijb", slope[e], np.eye(3)).reshape(12, 3, 3)
+        strain = 0.5 * (gradient + gradient.swapaxes(1, 2))
+        deviator = strain - np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3.0
+        K[np.ix_(dofs, dofs)] += 2.0 * mu * volume[e] * np.einsum("aij,bij->ab", deviator, deviator)
+        divergence[e, dofs] = np.trace(strain, axis1=1, axis2=2)
+        load[nodes, 2] += 0.25 * scene.material.density * volume[e] * scene.gravity[2]
+    is_free = np.ones(len(X), bool)
+    is_free[held] = False
+    patch = partition(tets.astype(np.int64), is_free).of_tet
+    for p in range(patch.max() + 1):
+        mean = (volume * (patch == p)) @ divergence
+        K += kappa * np.outer(mean, mean) / volume[patch == p].sum()
+    free = np.repeat(is_free, 3)
+    u = np.zeros(X.size)
+    u[free] = np.linalg.solve(K[np.ix_(free, free)], load.ravel()[free])
+    sag = -float(u.reshape(-1, 3)[mesh.node_sets["tip"], 2].mean())
+    found = figure_beams.small_sag(quick.patched)
+    assert found["sag_m"] == pytest.approx(sag, rel=2e-3)
+    assert found["stiffness_over_quadratic"] == pytest.approx(1.325, abs=0.005)
 
 
 @pytest.mark.slow
@@ -374,7 +410,7 @@ def test_the_picture(quick: Result) -> None:
 
     The one that was let go stands for all.
     """
-    figure = figure_beams.draw(Result(dict.fromkeys(BEAMS, quick.beams[HELD]), quick.small))
+    figure = figure_beams.draw(Result(dict.fromkeys(BEAMS, quick.beams[HELD]), quick.small, quick.patched))
     bodies = [axes for axes in figure.axes if axes.name == "3d"]
     assert len(bodies) == 5
     assert len({(axes.get_xlim(), axes.get_zlim(), axes.elev, axes.azim) for axes in bodies}) == 1  # type: ignore[attr-defined]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.linalg import polar
 
 from finger_sim import Scene
 from finger_sim.studies.paper import finger as figure
+from finger_sim.studies.paper import locking, speed
 from finger_sim.studies.paper.figures import plain
 from finger_sim.studies.paper.presses import (
     BODIES,
@@ -110,6 +112,30 @@ def test_no_tangent_without_points_enough() -> None:
     assert np.isnan(tangent_stiffness(depth[::20], depth[::20], 0.5))
     assert np.isnan(tangent_stiffness(depth, depth, 0.9))
     assert tangent_stiffness(depth, depth, 0.7) == pytest.approx(1.0)
+
+
+def test_figures_keep_the_papers_mesh_and_element(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever mesh, element and modulus the shipped scenes are tuned to: in presses, locking and speed."""
+    load = Scene.load
+
+    def tuned(name: str) -> Scene:
+        changes = {"material.young": 2.1e4, "material.volumetric": "patch", "mesh.file": "meshes/finger.vtu"}
+        return load(name) if name == "finger_paper" else load(name).with_values(changes)
+
+    def scenes() -> list[Scene]:
+        contenders = speed.CONTENDERS.values()
+        return [
+            *(scene_of((body, "flat", "anisotropic")) for body in BODIES),
+            *(locking.scene_of(name, "newton") for name in ("none", "tensor")),
+            *(Scene.load(who.scene).with_values(who.values) for who in contenders),
+        ]
+
+    before = scenes()
+    assert {Path(scene.mesh.file or "").name for scene in before} == {"finger_paper.vtu"}
+    assert {scene.material.volumetric for scene in before} == {"element"}
+    assert {scene.material.young for scene in before} == {1.4e4, 2e6}
+    monkeypatch.setattr(Scene, "load", staticmethod(tuned))
+    assert scenes() == before
 
 
 @pytest.mark.parametrize(("axis", "stretch"), [(0, 0.95), (1, 1.25), (2, 1.02), (0, 1.05), (1, 0.75), (2, 0.98)])
