@@ -99,6 +99,14 @@ def patch_rates(model: Model, state: State, places: Ints, velocities: Floats) ->
 
 
 @stage
+def share_out(model: Model, state: State) -> None:
+    """Add to state.limit_force each tetrahedron's share of what rows press its patch with, summed in patch_force."""
+    own, limit_force, sums = model.patches, state.limit_force, state.patch_force
+    for t in range(own.tet_share.shape[0]):
+        limit_force[t // 8, t % 8] += own.tet_share[t] * sums[own.lane[t // 8, t % 8]]
+
+
+@stage
 def patch_sizes(model: Model, state: State) -> None:
     """|G|² of each patch over its free nodes, and over their masses, into state.patch_size."""
     start, slots, G, sizes = model.patches.start, model.patches.slot, state.G, state.patch_size
@@ -111,14 +119,6 @@ def patch_sizes(model: Model, state: State) -> None:
                 total += size
                 moved += size * mobility[slots[k]]
         sizes[p, 0], sizes[p, 1] = total, moved
-
-
-@stage
-def share_out(model: Model, state: State) -> None:
-    """Add to state.limit_force each tetrahedron's share of what rows press its patch with, summed in patch_force."""
-    own, limit_force, sums = model.patches, state.limit_force, state.patch_force
-    for t in range(own.tet_share.shape[0]):
-        limit_force[t // 8, t % 8] += own.tet_share[t] * sums[own.lane[t // 8, t % 8]]
 
 
 @stage

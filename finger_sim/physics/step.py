@@ -280,7 +280,7 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
             strain_ratio(model, state)
             result[STRAIN_RATIO] = state.strain_ratio.max()
         active_rows, warm, lam = state.active_rows, state.warm_limit, state.lam
-        row_tet, row_key, row_side, row_part = state.row_tet, state.row_key, state.row_side, state.row_part
+        row_tet, row_key, row_side = state.row_tet, state.row_key, state.row_side
         keeps = model.method == PGS
         counted = 2 * DIRECTIONS if model.projection == TENSOR else 9
         if keeps:

@@ -250,6 +250,11 @@ def test_a_step_is_the_dense_solution(method: str, name: str) -> None:
     assert np.abs(g * rows.lam).max() <= 1e-7 * given * rows.lam.max()
     J = rows.J[:, system.free]
     assert_allclose(rows.scale, np.sqrt(0.5 * (J * J).sum(axis=1)), rtol=1e-12)
+    if name == "tensor":  # what turns with a tetrahedron: its own rows, and its share of what presses its patch
+        turns = np.bincount(rows.tet, rows.lam, len(body.tets))
+        shared = np.bincount(body.patch, turns / 3.0) / np.bincount(body.patch, body.volume)
+        found = sim._state.limit_force.ravel()[: len(body.tets)]
+        assert_allclose(found, turns + body.volume * shared[body.patch], rtol=1e-12, atol=1e-15 * turns.max())
     if name == "hyperbolic":  # rows of `tensor` may have a share of their limit's stiffness
         stiff = 30.0 * scene.material.young * body.volume[rows.tet]
         inertia = 0.1 / (h * h * (J * J / np.repeat(body.mass, 3)[system.free]).sum(axis=1))
