@@ -12,6 +12,7 @@ import itertools
 from typing import Any
 
 import numpy as np
+from truth import patches
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -52,6 +53,7 @@ class Body:
     tets: np.ndarray[Any, np.dtype[np.int64]]  # (T, 4)
     gradients: Array  # (T, 4, 3) of the four barycentric coordinates, components along e1, e2, e3
     volume: Array  # (T,)
+    patch: np.ndarray[Any, np.dtype[np.int64]]  # (T,) tetrahedra with the same number share their volume strain
     mass: Array  # (n,)
     lame_lambda: float
     lame_mu: float
@@ -71,6 +73,11 @@ class Body:
         mass = np.zeros(len(points))
         for nodes, vol in zip(tets, volume, strict=True):
             mass[nodes] += 0.25 * vol * material.density
+        patch = np.arange(len(tets))
+        if material.volumetric == "patch":
+            held = np.zeros(len(points), bool)
+            held[scene.driven_nodes(mesh)] = True
+            patch = patches.freedoms(tets, held)
         E, nu = material.young, material.poisson
         bulk, shear = E / (3.0 * (1.0 - 2.0 * nu)), E / (2.0 * (1.0 + nu))
         return cls(
@@ -78,6 +85,7 @@ class Body:
             tets,
             gradients,
             volume,
+            patch,
             mass,
             bulk - 2.0 / 3.0 * shear,
             shear,
@@ -91,12 +99,26 @@ class Body:
         return np.einsum("tni,tnj->tij", x[self.tets], self.gradients)
 
     def energy(self, x: Array) -> float:
-        """Elastic energy Σ vol (μ |S − I|² + λ/2 tr(S − I)²), S = RᵀF [J]."""
-        total = 0.0
-        for F, vol in zip(self.deformation(x), self.volume, strict=True):
-            e = signed_svd(F)[1] - 1.0
-            total += vol * (self.lame_mu * (e @ e) + 0.5 * self.lame_lambda * e.sum() ** 2)
-        return float(total)
+        """Elastic energy Σ vol (μ |dev(S − I)|² + K/2 θ²), S = RᵀF, θ its patch's mean of tr(S − I) [J]."""
+        e = np.array([signed_svd(F)[1] for F in self.deformation(x)]) - 1.0
+        mean = e.sum(axis=1) / 3.0
+        shape = self.lame_mu * ((e - mean[:, None]) ** 2).sum(axis=1)
+        bulk = self.lame_lambda + 2.0 / 3.0 * self.lame_mu
+        return float(self.volume @ (shape + 0.5 * bulk * self.swelling(3.0 * mean) ** 2))
+
+    def swelling(self, traces: Array) -> Array:
+        """The mean by volume of each tetrahedron's patch, (T,) of (T,)."""
+        whole = np.bincount(self.patch, self.volume)
+        means: Array = (np.bincount(self.patch, self.volume * traces) / whole)[self.patch]
+        return means
+
+    def bounded(self, x: Array) -> Array:
+        """F with the volume strain of its patch, (T, 3, 3): what limits bound."""
+        out = self.deformation(x)
+        R, s = np.array([rotation_of(F) for F in out]), np.array([signed_svd(F)[1] for F in out])
+        traces = s.sum(axis=1) - 3.0
+        wide: Array = out + ((self.swelling(traces) - traces) / 3.0)[:, None, None] * R
+        return wide
 
     def hooke(self) -> Array:
         """The 6 × 6 matrix of Hooke's law, Voigt order 11 22 33 23 13 12 with engineering shears."""
@@ -116,23 +138,33 @@ class Body:
     def forces(self, x: Array, rotations: Array | None = None) -> Array:
         """Elastic nodal forces (n, 3) [N] at x; with `rotations` (T, 3, 3) given, R is frozen there."""
         F, out, D = self.deformation(x), np.zeros((len(self.points), 3)), self.hooke()
-        for t, nodes in enumerate(self.tets):
-            R = rotation_of(F[t]) if rotations is None else rotations[t]
-            E = 0.5 * (R.T @ F[t] + F[t].T @ R) - np.eye(3)
+        if rotations is None:
+            rotations = np.array([rotation_of(f) for f in F])
+        strains = 0.5 * (np.swapaxes(rotations, 1, 2) @ F + np.swapaxes(F, 1, 2) @ rotations) - np.eye(3)
+        traces = np.trace(strains, axis1=1, axis2=2)
+        strains += ((self.swelling(traces) - traces) / 3.0)[:, None, None] * np.eye(3)
+        for t, (nodes, R, E) in enumerate(zip(self.tets, rotations, strains, strict=True)):
             voigt = np.array([E[0, 0], E[1, 1], E[2, 2], 2 * E[1, 2], 2 * E[0, 2], 2 * E[0, 1]])
             f = -self.volume[t] * self.strain_matrix(t).T @ D @ voigt
             out[nodes] += f.reshape(4, 3) @ R.T
         return out
 
     def stiffness(self, x: Array) -> Array:
-        """K (3n, 3n) = Σ vol R Bᵀ D B Rᵀ at x: minus the derivative of the forces with R frozen."""
+        """K (3n, 3n) = Σ vol R Bᵀ D B Rᵀ at x: minus the derivative of the forces with R frozen.
+
+        D without its bulk part, which is Σ K V_p ∇θ_p ∇θ_pᵀ of patches.
+        """
         n, D = len(self.points), self.hooke()
-        K = np.zeros((3 * n, 3 * n))
+        bulk = self.lame_lambda + 2.0 / 3.0 * self.lame_mu
+        D[:3, :3] -= bulk
+        K, swells = np.zeros((3 * n, 3 * n)), np.zeros((self.patch.max() + 1, 3 * n))
         for t, (nodes, F) in enumerate(zip(self.tets, self.deformation(x), strict=True)):
             B = self.strain_matrix(t)
             R = np.kron(np.eye(4), rotation_of(F))
             index = (3 * nodes[:, None] + np.arange(3)).ravel()
             K[np.ix_(index, index)] += self.volume[t] * R @ B.T @ D @ B @ R.T
+            swells[self.patch[t], index] += self.volume[t] * R @ B[:3].sum(axis=0)
+        K += bulk * swells.T @ (swells / np.bincount(self.patch, self.volume)[:, None])
         return K
 
     def turning(self, limit_force: Array, viscosity: float) -> Array:

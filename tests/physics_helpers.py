@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from small_fingers import small
 
 from finger_sim import Pose, Scene, Simulator, Status, StepResult
 from finger_sim.physics.elimination import analyse
@@ -42,7 +43,7 @@ def beam_scene(
 
 def finger_scene(**values: Any) -> Scene:
     """The shipped everyday finger, dotted keys changed (dots written as __)."""
-    return Scene.load("finger").with_values({k.replace("__", "."): v for k, v in values.items()})
+    return small("finger").with_values({k.replace("__", "."): v for k, v in values.items()})
 
 
 def pose(position: Any = (0.0, 0.0, 0.0), turn: Rotation | None = None) -> Pose:

@@ -12,7 +12,6 @@ import math
 from ..arrays import Floats
 from .bone import STOPPED
 from .compile import stage
-from .dilatation import part_of_patch
 from .lanes import Lanes, lane, load4, load8, splat4, splat8, store8
 from .linear_solver import solve, solve8
 from .model import Model, State
@@ -60,7 +59,7 @@ def factor_bone(model: Model, state: State, h: float, contacts: int, rows: int, 
         part, first, last = 0.0, 0, 0
         if patched:
             t = state.row_tet[row]
-            patch, part = own.lane[t // 8, t % 8], part_of_patch(state.row_side[row])
+            patch, part = own.lane[t // 8, t % 8], state.row_part[row]
             first, last = own.start[patch], own.start[patch + 1]
         for k in range(first, last):
             slot = own.slot[k]

@@ -12,14 +12,14 @@ stiffness has a block K V_p G_a G_bᵀ for each two nodes of a patch, with the g
 The matrix stays symmetric and positive definite, and nothing is unknown but the nodes' velocities.
 
 Limits act on Ē = dev E + θ_p I / 3, or they would lock what the patches free. A limit row of a tetrahedron is then a
-gradient at its own four nodes, as without patches, and α G at all nodes of its patch: α is a third of what the row has
-for a change of all three strains (tensor_limit.py).
+gradient at its own four nodes, as without patches, and α G at all nodes of its patch: α, in state.row_part, is a third
+of what the row has for a change of all three strains.
 """
 
 from __future__ import annotations
 
 from ..arrays import Floats, Ints
-from .compile import formula, stage
+from .compile import stage
 from .kinematics import edges_times
 from .lanes import gather3, load4, load8, splat4, store4, store8, sum3
 from .model import Model, State
@@ -87,12 +87,6 @@ def mean_strains(model: Model, state: State) -> None:
             store8(mean, b, c, load8(strains, b, c))
 
 
-@formula
-def part_of_patch(side: float) -> float:
-    """α of a `tensor` row on the stretch side (+1) or the compression side (−1)."""
-    return -side * (1.0 / 3.0)
-
-
 @stage
 def patch_rates(model: Model, state: State, places: Ints, velocities: Floats) -> None:
     """θ̇_p of velocities into state.patch_rate; places (N,): which of them each entry has."""
@@ -102,6 +96,21 @@ def patch_rates(model: Model, state: State, places: Ints, velocities: Floats) ->
         for k in range(start[p], start[p + 1]):
             total = total + load4(G, k, 0) * load4(velocities, places[k], 0)
         rates[p] = sum3(total)
+
+
+@stage
+def patch_sizes(model: Model, state: State) -> None:
+    """|G|² of each patch over its free nodes, and over their masses, into state.patch_size."""
+    start, slots, G, sizes = model.patches.start, model.patches.slot, state.G, state.patch_size
+    mobility, nf = model.mobility, model.free.shape[0]
+    for p in range(sizes.shape[0]):
+        total = moved = 0.0
+        for k in range(start[p], start[p + 1]):
+            if slots[k] < nf:
+                size = sum3(load4(G, k, 0) * load4(G, k, 0))
+                total += size
+                moved += size * mobility[slots[k]]
+        sizes[p, 0], sizes[p, 1] = total, moved
 
 
 @stage

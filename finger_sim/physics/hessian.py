@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..arrays import Floats
 from .border import factor_bone
 from .compile import formula, stage
-from .dilatation import add_patch_rows, part_of_patch
+from .dilatation import add_patch_rows
 from .lanes import Lanes, lane, load4, splat4, store4
 from .linear_solver import factor
 from .model import Model, State
@@ -54,7 +54,7 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int, hol
             normal, tangent = h * h * stiffness[row], h * h * stiffness[row + 1]
             add_contact(D, row_slot[row, 0], J, row, load4(slip, c, 0), normal, tangent)
     patched, patches, entries = model.patches.volume.shape[0] > 0, model.patches.lane, model.patches.tet_place
-    cross, square = state.patch_cross, state.patch_force
+    cross, square, row_part = state.patch_cross, state.patch_force, state.row_part
     if patched:
         clear(cross)
         square[:] = 0.0
@@ -62,7 +62,7 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int, hol
         if stiffness[row] > 0.0:
             weight, t = h * h * stiffness[row], row_tet[row]
             if patched:
-                part = part_of_patch(state.row_side[row])
+                part = row_part[row]
                 square[patches[t // 8, t % 8]] += weight * part * part
                 for n in range(4):
                     k = entries[t, n]

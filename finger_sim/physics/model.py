@@ -135,11 +135,14 @@ class Pgs(NamedTuple):
     cross: Floats  # (rows,) W between a contact's two tangents, at the first one's row
     has_column: Ints  # (rows,) 1: the row's column of Z is there
     row_local: Ints  # (rows, 4) where in u the components of each node begin; past the touched ones: driven or none
+    row_rate: Ints  # (rows,) where in u its patch is; past them: none
     local: Ints  # (nf,) touched slots numbered, −1: not touched
     touched: Ints  # (touched,) their slots
-    u: Floats  # (3 touched + 3,) h A⁻¹ Jᵀ λ at touched nodes, then zeros
-    S: Floats  # (9 touched²,) A⁻¹ between touched nodes, used as (3 touched, 3 touched)
-    Z: Floats  # (3 rows touched,) h A⁻¹ Jᵀ, a row's column contiguous
+    local_patch: Ints  # (P,) touched patches numbered, −1: not touched
+    touched_patch: Ints  # (patches,) which they are
+    u: Floats  # (unknowns + 3,) h A⁻¹ Jᵀ λ at touched nodes, h θ̇ of it of touched patches, then zeros
+    S: Floats  # (unknowns²,) A⁻¹ between touched nodes and patches, as a matrix: see touched.py
+    Z: Floats  # (rows unknowns,) h A⁻¹ Jᵀ, a row's column contiguous
     Y: Floats  # (nf, 3, linear_solver.SIDES_AT_ONCE) right-hand sides
     reached: Ints  # (nf,) 1 where Y is not zero
 
@@ -166,6 +169,7 @@ class Principal(NamedTuple):
     F: Floats  # (T, 3, 3) deformation gradient at x
     U: Floats  # (T, 3, 3) F = U diag(s) Vᵀ
     s: Floats  # (T, 3)
+    bounded: Floats  # (T, 3) what limits bound: s, or with the volume strain of the patch
     V: Floats  # (T, 3, 3)
     columns: Floats  # (3, 3, BATCH) scratch
     turn: Floats  # (3, 3, BATCH) scratch
@@ -248,6 +252,7 @@ class State(NamedTuple):
     pressure: Floats  # (B, 8) the same of the patch of each tetrahedron
     G: Floats  # (N, 4) gradient of θ_p at each node of each patch [1/m], world
     patch_rate: Floats  # (P,) θ̇_p of velocities [1/s]
+    patch_size: Floats  # (P, 2) Σ |G_n|² over the free nodes of each patch [1/m²], and over their masses [1/(m² kg)]
     patch_force: Floats  # (P,) sums over the limit rows of each patch
     patch_cross: Floats  # (N, 4) the same at its nodes
     rhs: Floats  # (slots, 4)
@@ -263,6 +268,7 @@ class State(NamedTuple):
     row_tet: Ints  # (rows,) tetrahedron of a limit row; −1 − node of a contact row
     row_key: Ints  # (rows,) which of its tetrahedron's limit rows: 3 i + j, or of `tensor` 2 · direction + side
     row_side: Floats  # (rows,) +1 stretch, −1 compression
+    row_part: Floats  # (rows,) α: the row has α G at the nodes of its patch, beside J (dilatation.py); contact: 0
     constant: Floats  # (rows,) C + h J v at the velocities the rows were formed with
     compliance: Floats  # (rows,)
     scale: Floats  # (rows,) [N] of nodal force per unit of lam

@@ -26,7 +26,7 @@ from .bone import bone_residual
 from .border import solve_all
 from .clock import FACTOR, SOLVE, lap, seconds
 from .compile import stage
-from .dilatation import add_patch_forces, part_of_patch, patch_rates
+from .dilatation import add_patch_forces, patch_rates
 from .elasticity import slot_velocities
 from .hessian import factor_elastic, refactor
 from .lanes import load4, splat4, store4, sum3
@@ -250,7 +250,7 @@ def limit_forces(
     r, stiffness, factored = own.next_residual, own.stiffness, own.factored
     constant, compliance = state.constant, state.compliance
     largest, held, changed = 0.0, 0, False
-    own_patches, row_tet, row_side = model.patches, state.row_tet, state.row_side
+    own_patches, row_tet, row_part = model.patches, state.row_tet, state.row_part
     patched, patches, rates, sums = (
         own_patches.volume.shape[0] > 0,
         own_patches.lane,
@@ -268,7 +268,7 @@ def limit_forces(
         total, patch, part = sum3(moved), 0, 0.0
         if patched:
             t = row_tet[row]
-            patch, part = patches[t // 8, t % 8], part_of_patch(row_side[row])
+            patch, part = patches[t // 8, t % 8], row_part[row]
             total += part * rates[patch]
         force = -(constant[row] + h * total) / compliance[row]
         if force > 0.0:

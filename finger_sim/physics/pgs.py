@@ -7,7 +7,10 @@ normals, and for the two tangents of a contact Coulomb's cone: |λ_t| ≤ μ λ_
 One sweep updates each row by its own diagonal of W. W itself is never formed: the sweeps keep u = h A⁻¹ Jᵀ λ at
 the nodes that rows touch. A row reads its g from its own nodes, and adds its column h A⁻¹ J_iᵀ to u when its force
 changes, so that a row at rest off its limit costs a dozen products. The columns come from S, the block of A⁻¹
-between touched nodes, each when first needed.
+between touched nodes (touched.py), each when first needed.
+
+What a limit row has at all nodes of its patch, α G (dilatation.py), is one entry more of the row: α, for h θ̇ = h G u
+of its patch, which u has beside its nodes.
 """
 
 from __future__ import annotations
@@ -17,7 +20,8 @@ from typing import NamedTuple
 
 from ..arrays import Floats, Ints
 from .compile import kernel, stage
-from .linear_solver import NODES_AT_ONCE, solve, solve_many
+from .dilatation import add_patch_forces
+from .linear_solver import solve
 from .model import Model, State
 from .vectors import clear, copy_first
 
@@ -25,66 +29,16 @@ _CHECK = 16  # the residual is taken after a sweep that changed little enough to
 
 
 @stage
-def touched_nodes(model: Model, state: State, rows: int) -> int:
-    """Number the slots that the first `rows` rows touch, in slot order: state.pgs.touched and row_local. Their count.
-
-    row_local is where a node's three components are in u; those of driven nodes, or none, are past the others and 0.
-    """
-    local, touched, row_slot, row_local = state.pgs.local, state.pgs.touched, state.row_slot, state.pgs.row_local
-    local[:] = -1
-    for row in range(rows):
-        for n in range(4):
-            k = row_slot[row, n]
-            if k < local.shape[0]:
-                local[k] = 0
-    count = 0
-    for k in range(local.shape[0]):
-        if local[k] == 0:
-            local[k] = count
-            touched[count] = k
-            count += 1
-    for row in range(rows):
-        for n in range(4):
-            k = row_slot[row, n]
-            row_local[row, n] = 3 * (local[k] if k < local.shape[0] else count)
-    return count
-
-
-@stage
-def inverse_between(model: Model, state: State, count: int) -> None:
-    """S (3 count, 3 count): the symmetric block of A⁻¹ between touched nodes, some of its columns at a time."""
-    Y, touched, reached = state.pgs.Y, state.pgs.touched, state.pgs.reached
-    pattern, lower, inverse = model.pattern, state.L_lower, state.L_inverse
-    S = state.pgs.S[: 9 * count * count].reshape((3 * count, 3 * count))
-    for start in range(0, count, NODES_AT_ONCE):
-        first = touched[start]
-        Y[first:] = 0.0
-        reached[first:] = 0
-        width = min(NODES_AT_ONCE, count - start)
-        for c in range(width):
-            reached[touched[start + c]] = 1
-            for i in range(3):
-                Y[touched[start + c], i, 3 * c + i] = 1.0
-        solve_many(pattern, lower, inverse, first, reached, Y)
-        for a in range(start, count):
-            k = touched[a]
-            for i in range(3):
-                for l in range(3 * width):
-                    S[3 * a + i, 3 * start + l] = Y[k, i, l]
-                    S[3 * start + l, 3 * a + i] = Y[k, i, l]
-
-
-@stage
-def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: int, count: int) -> tuple[int, float]:
+def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: int, size: int) -> tuple[int, float]:
     """Row forces into state.lam[:rows], warm-started from what is there. Returns (sweeps, residual).
 
     The residual is the largest change any row's force would still need on its own (its violation or lack of
     complementarity over its diagonal of W), as nodal force relative to the largest one. When the sweeps run out,
-    the iterate with the least residual is kept. On return state.J holds h J.
+    the iterate with the least residual is kept. size: unknowns of S. On return state.J holds h J.
     """
     pgs, J, lam, best, compliance = state.pgs, state.J, state.lam, state.best, state.compliance
     nodes, u, diagonal, cross, has_column = pgs.row_local, pgs.u, pgs.diagonal, pgs.cross, pgs.has_column
-    size = 3 * count
+    part, rates = state.row_part, pgs.row_rate
     S = pgs.S[: size * size].reshape((size, size))
     Z = pgs.Z[: rows * size].reshape((rows, size))
     u[: size + 3] = 0.0
@@ -94,16 +48,18 @@ def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: in
                 J[row, n, i] *= h
         has_column[row] = 0
         diagonal[row] = _product(S, J, nodes, row, row) + compliance[row]
+        if part.shape[0] > 0:
+            diagonal[row] += _square_of_patch(S, J, nodes, row, part[row], rates[row])
     for row in range(0, contact_rows, 3):
         cross[row + 1] = _product(S, J, nodes, row + 1, row + 2)
     system = System(
-        J, nodes, state.constant, compliance, diagonal, cross, state.scale, lam, u,
+        J, nodes, part, rates, state.constant, compliance, diagonal, cross, state.scale, lam, u,
         has_column, S, Z,
     )  # fmt: skip
     for row in range(rows):
         if lam[row] != 0.0:
             has_column[row] = 1
-            _make_column(S, J, nodes, row, Z[row])
+            _make_column(system, row, Z[row])
             _add(u, Z[row], lam[row])
 
     floor = model.least_force
@@ -132,6 +88,8 @@ class System(NamedTuple):
 
     J: Floats
     nodes: Ints
+    part: Floats
+    rates: Ints
     constant: Floats
     compliance: Floats
     diagonal: Floats
@@ -151,21 +109,21 @@ def visit(system: System, mu_friction: float, contact_rows: int, rows: int, upda
     A limit or a normal wants max(0, λ − g / W_ii), two tangents want `tangents`. Returns the largest difference and
     the largest force, as nodal forces [N].
     """
-    J, nodes, lam, u, S, Z = system.J, system.nodes, system.lam, system.u, system.S, system.Z
+    lam, u, Z = system.lam, system.u, system.Z
     constant, compliance, diagonal = system.constant, system.compliance, system.diagonal
     worst = largest = 0.0
     along_1 = along_2 = 0.0
     for row in range(rows):
         axis = row % 3 if row < contact_rows else 0
         if axis == 0:
-            g = constant[row] + compliance[row] * lam[row] + _dot(J, nodes, row, u)
+            g = constant[row] + compliance[row] * lam[row] + _dot(system, row)
             wanted = max(0.0, lam[row] - g / diagonal[row])
             largest = max(largest, lam[row] * system.scale[row])
         elif axis == 1:
             along_1, along_2 = tangents(
                 mu_friction * lam[row - 1], lam[row], lam[row + 1],
-                constant[row] + compliance[row] * lam[row] + _dot(J, nodes, row, u),
-                constant[row + 1] + compliance[row + 1] * lam[row + 1] + _dot(J, nodes, row + 1, u),
+                constant[row] + compliance[row] * lam[row] + _dot(system, row),
+                constant[row + 1] + compliance[row + 1] * lam[row + 1] + _dot(system, row + 1),
                 diagonal[row], diagonal[row + 1], system.cross[row],
             )  # fmt: skip
             wanted = along_1
@@ -177,7 +135,7 @@ def visit(system: System, mu_friction: float, contact_rows: int, rows: int, upda
             lam[row] = wanted
             if system.has_column[row] == 0:
                 system.has_column[row] = 1
-                _make_column(S, J, nodes, row, Z[row])
+                _make_column(system, row, Z[row])
             _add(u, Z[row], change)
     return worst, largest
 
@@ -206,8 +164,9 @@ def tangents(
 
 
 @kernel
-def _dot(J: Floats, nodes: Ints, row: int, u: Floats) -> float:
+def _dot(system: System, row: int) -> float:
     """h J A⁻¹ (…)ᵀ of one row: its gradient times u at its own nodes."""
+    J, nodes, u = system.J, system.nodes, system.u
     a, b, c, d = nodes[row, 0], nodes[row, 1], nodes[row, 2], nodes[row, 3]
     total: float = (
         (J[row, 0, 0] * u[a] + J[row, 0, 1] * u[a + 1] + J[row, 0, 2] * u[a + 2])
@@ -215,12 +174,15 @@ def _dot(J: Floats, nodes: Ints, row: int, u: Floats) -> float:
         + (J[row, 2, 0] * u[c] + J[row, 2, 1] * u[c + 1] + J[row, 2, 2] * u[c + 2])
         + (J[row, 3, 0] * u[d] + J[row, 3, 1] * u[d + 1] + J[row, 3, 2] * u[d + 2])
     )
+    if system.part.shape[0] > 0:
+        total += system.part[row] * u[system.rates[row]]
     return total
 
 
 @kernel
-def _make_column(S: Floats, J: Floats, nodes: Ints, row: int, column: Floats) -> None:
-    """column = A⁻¹ (h J)ᵀ of one row, at the touched nodes."""
+def _make_column(system: System, row: int, column: Floats) -> None:
+    """column = A⁻¹ (h J)ᵀ of one row, at the touched nodes, and what that is to the touched patches."""
+    S, J, nodes = system.S, system.J, system.nodes
     size = S.shape[0]
     column[:] = 0.0
     for n in range(4):
@@ -230,6 +192,10 @@ def _make_column(S: Floats, J: Floats, nodes: Ints, row: int, column: Floats) ->
             x, y, z = S[k], S[k + 1], S[k + 2]
             for i in range(size):
                 column[i] += a * x[i] + b * y[i] + c * z[i]
+    if system.part.shape[0] > 0 and system.rates[row] < size:
+        a, x = system.part[row], S[system.rates[row]]
+        for i in range(size):
+            column[i] += a * x[i]
 
 
 @kernel
@@ -256,10 +222,25 @@ def _product(S: Floats, J: Floats, nodes: Ints, row: int, other: int) -> float:
     return total
 
 
+@kernel
+def _square_of_patch(S: Floats, J: Floats, nodes: Ints, row: int, part: float, rate: int) -> float:
+    """What its patch adds to `_product` of a row with itself: 2 (h J) A⁻¹ (h α G)ᵀ + α² h² G A⁻¹ Gᵀ."""
+    if rate >= S.shape[0]:
+        return 0.0
+    total: float = part * S[rate, rate]
+    for n in range(4):
+        a = nodes[row, n]
+        if a < S.shape[0]:
+            for i in range(3):
+                total += 2.0 * J[row, n, i] * S[a + i, rate]
+    return part * total
+
+
 @stage
-def apply_rows(model: Model, state: State, rows: int) -> None:
+def apply_rows(model: Model, state: State, h: float, contacts: int, rows: int) -> None:
     """Add A⁻¹ (h J)ᵀ λ to the velocities of all free nodes; state.J holds h J since `solve_rows`."""
     y, lam, J, row_slot, v, free = state.rhs, state.lam, state.J, state.row_slot, state.v, model.free
+    sums, row_tet, patches = state.patch_force, state.row_tet, model.patches.lane
     clear(y)
     for row in range(rows):
         force = lam[row]
@@ -268,6 +249,12 @@ def apply_rows(model: Model, state: State, rows: int) -> None:
                 k = row_slot[row, n]
                 for i in range(3):
                     y[k, i] += force * J[row, n, i]
+    if state.row_part.shape[0] > 0:
+        sums[:] = 0.0
+        for row in range(contacts, rows):
+            t = row_tet[row]
+            sums[patches[t // 8, t % 8]] += lam[row] * state.row_part[row]
+        add_patch_forces(model, state, h, y)
     solve(model.pattern, state.L_lower, state.L_inverse, y)
     for k in range(free.shape[0]):
         for i in range(3):

@@ -21,8 +21,8 @@ from .kinematics import kinematics
 from .methods import NONE, TENSOR
 from .model import Model, Newton, Patches, Pgs, Principal, State, Tensor, Yielding
 from .step import step
-from .strain_limits import strain_ratio
-from .tensor_limit import all_strains, find_near
+from .strain_limits import find_bounded, strain_ratio
+from .tensor_limit import all_strains
 
 
 def _pointers_to(record: Any) -> Callable[[Any], Any]:
@@ -83,9 +83,9 @@ def refresh(both: Ready) -> None:
     state.quaternion[:, 3] = 1.0
     state.tensor.bound[:] = np.inf
     kinematics(both.model, both.state)
-    if both.projection == TENSOR:
-        find_near(both.model, both.state)
-    elif both.projection != NONE:
+    if both.projection != NONE:
+        find_bounded(both.model, both.state)
+    if both.projection not in (NONE, TENSOR):
         strain_ratio(both.model, both.state)
 
 

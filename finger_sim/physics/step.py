@@ -10,7 +10,7 @@ from .bone import aim_bone, move_bone, place_driven
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
-from .dilatation import part_of_patch, share_out
+from .dilatation import share_out
 from .elasticity import assemble
 from .hessian import factor_elastic
 from .kinematics import kinematics, turned_far
@@ -20,10 +20,11 @@ from .locking import STRAINS
 from .methods import NEWTON, NONE, PGS, TENSOR
 from .model import Model, State
 from .newton import newton
-from .pgs import apply_rows, inverse_between, solve_rows, touched_nodes
+from .pgs import apply_rows, solve_rows
 from .rows import finish_rows
-from .strain_limits import limit_rows, strain_ratio
-from .tensor_limit import DIRECTIONS, find_near, greatest_strain, tensor_rows
+from .strain_limits import find_bounded, limit_rows, strain_ratio
+from .tensor_limit import DIRECTIONS, greatest_strain, tensor_rows
+from .touched import inverse_between, touched_nodes
 from .vectors import add, copy
 from .work import CONTACT_ROWS, LIMITS, LINEAR
 
@@ -115,8 +116,8 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
     kinematics(model, state)
     lap(state.laps, state.time, KINEMATICS)
     state.age[0] = (state.age[0] + 1) % model.hold
-    if model.projection == TENSOR:
-        find_near(model, state)
+    if model.projection != NONE:
+        find_bounded(model, state)
     lap(state.laps, state.time, ROWS)
     state.result[SPEED] = fastest
     observe(model, state, contacts, rows)
@@ -160,10 +161,10 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
     if model.method == NEWTON:
         iterations, residual, definite = newton(model, state, h, contacts, rows, anew, tolerance)
     elif rows > 0:
-        touched = touched_nodes(model, state, rows)
-        inverse_between(model, state, touched)
-        iterations, residual = solve_rows(model, state, h, contacts, rows, touched)
-        apply_rows(model, state, rows)  # v = v_free + h A⁻¹ Jᵀ λ
+        touched, patches = touched_nodes(model, state, contacts, rows)
+        inverse_between(model, state, h, touched, patches)
+        iterations, residual = solve_rows(model, state, h, contacts, rows, 3 * touched + patches)
+        apply_rows(model, state, h, contacts, rows)  # v = v_free + h A⁻¹ Jᵀ λ
     if not residual <= model.tolerance:
         status |= _ITERATION_LIMIT
     result = state.result
@@ -182,8 +183,8 @@ def relinearise(model: Model, state: State, targets: Floats, h: float, again: in
     copy(state.v_base, state.v)
     integrate(model, state, targets, h)
     kinematics(model, state)
-    if model.projection == TENSOR:
-        find_near(model, state)
+    if model.projection != NONE:
+        find_bounded(model, state)
 
 
 @stage
@@ -279,7 +280,7 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
             strain_ratio(model, state)
             result[STRAIN_RATIO] = state.strain_ratio.max()
         active_rows, warm, lam = state.active_rows, state.warm_limit, state.lam
-        row_tet, row_key, row_side = state.row_tet, state.row_key, state.row_side
+        row_tet, row_key, row_side, row_part = state.row_tet, state.row_key, state.row_side, state.row_part
         keeps = model.method == PGS
         counted = 2 * DIRECTIONS if model.projection == TENSOR else 9
         if keeps:
@@ -291,7 +292,7 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
         active_rows[:] = 0
         limit_rows = limited_tets = 0
         patched = follows and model.patches.volume.shape[0] > 0
-        lanes, sums = model.patches.lane, state.patch_force
+        lanes, sums, row_part = model.patches.lane, state.patch_force, state.row_part
         if patched:
             sums[:] = 0.0
         for row in range(contacts, rows):
@@ -300,7 +301,7 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
                 if follows:
                     limit_force[t // 8, t % 8] += lam[row]
                     if patched:
-                        sums[lanes[t // 8, t % 8]] += abs(part_of_patch(row_side[row])) * lam[row]
+                        sums[lanes[t // 8, t % 8]] += abs(row_part[row]) * lam[row]
                 if keeps:
                     warm[t, key] = lam[row] * row_side[row]
                 if key < counted:

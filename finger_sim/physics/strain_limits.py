@@ -15,6 +15,10 @@ Gradients have the full derivative of V (Eq. 13-18), ∂s_i/∂F = u_i v_iᵀ an
 ∂V_ji/∂F = Σ_{k≠i} V_jk (s_k u_k v_iᵀ + s_i u_i v_kᵀ) / (s_i² − s_k²).
 The denominator vanishes where singular values cross (and at s_i = −s_k, inverted): its magnitude is kept at
 `gap` or more. A row of a tetrahedron becomes a row of the step by ∂C/∂x_n = (∂C/∂F) r_n.
+
+With patches (dilatation.py) limits bound F̄, whose strain has the patch's volume strain: the same U and V, and
+s̄_i = s_i + (θ_p − tr E)/3. It is s̄ that is measured, so that a row has w = ∂C/∂s̄_i as much less for its own volume as
+its part α = w/3 for that of the patch: w (u_i v_iᵀ − R/3), beside what V turns, which turns with s as ever.
 """
 
 from __future__ import annotations
@@ -27,10 +31,11 @@ from numpy.typing import ArrayLike
 
 from ..arrays import Floats, Ints
 from .compile import kernel, stage
+from .dilatation import mean_strains, patch_rates
 from .kinematics import signed_svd
 from .methods import HYPERBOLIC, ISOTROPIC, LINEAR, ORTHOGONAL, PROJECTIONS, TENSOR
 from .model import Model, State
-from .tensor_limit import evaluate_tensor, limit_factors
+from .tensor_limit import evaluate_tensor, find_near, limit_factors
 from .work import LIMITS_SEEN
 
 SOLVER_GAP = 0.03  # |s_i² − s_k²| in a step's rows: what keeps a force near crossing singular values from exploding
@@ -90,7 +95,7 @@ def evaluate(F: ArrayLike, limits: Limits, gap: float = EXACT_GAP) -> tuple[Floa
             room = room_of(projection, V, i, j, side, rooms)
             if np.isfinite(room):
                 p, q = np.empty(3), np.empty(3)
-                gradient(projection, (U, s, V), (int(i), j, side), rooms, gap, p, q)
+                gradient(projection, (U, s, V), s[i] - 1.0, (int(i), j, side), rooms, gap, p, q)
                 C.append(float(room - used(projection, s, V, i, j, side)))
                 gradients.append(np.outer(U[:, i], p) + np.outer(q, V[:, i]))
     return np.array(C), np.array(gradients).reshape(-1, 3, 3)
@@ -134,7 +139,7 @@ def room_of(projection: int, V: Floats, i: int, j: int, side: float, rooms: Floa
 
 @kernel
 def used(projection: int, s: Floats, V: Floats, i: int, j: int, side: float) -> float:
-    """How much of its room row (i, j) has used up: C = room − used."""
+    """How much of its room row (i, j) has used up: C = room − used. s (3,): what limits bound, so s̄ on patches."""
     weight: float = abs(V[j, i]) if projection == HYPERBOLIC else 1.0
     return weight * side * (float(s[i]) - 1.0)
 
@@ -156,25 +161,30 @@ def _bound(side: float, room: float) -> float:
 
 
 @kernel
-def gradient(projection: int, svd: Svd, row: Row, rooms: Floats, gap: float, p: Floats, q: Floats) -> None:
-    """∂C/∂F of a row as u_i pᵀ + q v_iᵀ; p, q (3,) out. By Eq. 13 through s_i, by Eq. 17-18 through V."""
+def gradient(
+    projection: int, svd: Svd, strain: float, row: Row, rooms: Floats, gap: float, p: Floats, q: Floats
+) -> float:
+    """∂C/∂F of a row as u_i pᵀ + q v_iᵀ; p, q (3,) out. By Eq. 13 through s_i, by Eq. 17-18 through V.
+
+    strain: s_i − 1, or s̄_i − 1. Returns w = ∂C/∂s_i, which is in p as w v_i.
+    """
     U, s, V = svd
     i, j, side = row
-    along = -side
+    along: float = -side
     if projection == HYPERBOLIC:
         along = -side * abs(V[j, i])
     for k in range(3):
         p[k] = along * V[k, i]
         q[k] = 0.0
     if projection == ISOTROPIC:
-        return
+        return along
     sign = 1.0 if V[j, i] >= 0.0 else -1.0
     reach = max(_reach(V, i, side, rooms), _LEAST_REACH) if projection == LINEAR else 1.0
     for m in range(3):
         if m == i:
             continue
         if projection == HYPERBOLIC:
-            turn = -side * (s[i] - 1.0) * sign * V[j, m]
+            turn = -side * strain * sign * V[j, m]
         elif projection == ORTHOGONAL:
             turn = rooms[j] * sign * V[j, m]
         else:
@@ -189,12 +199,29 @@ def gradient(projection: int, svd: Svd, row: Row, rooms: Floats, gap: float, p: 
         for k in range(3):
             p[k] += w * s[i] * V[k, m]
             q[k] += w * s[m] * U[k, m]
+    return along
+
+
+@kernel
+def find_bounded(model: Model, state: State) -> None:
+    """What limits bound at the state's kinematics, where that is more than these: for `tensor` what may be at a limit,
+    with patches their volume strain in Ē and s̄."""
+    if model.projection == TENSOR:
+        find_near(model, state)
+    elif state.principal.s.shape[0] > 0 and model.patches.volume.shape[0] > 0:
+        mean_strains(model, state)
+        bounded, s, own, mean = state.principal.bounded, state.principal.s, state.E, state.limit_strain
+        for t in range(s.shape[0]):
+            change = mean[t // 8, 0, t % 8] - own[t // 8, 0, t % 8]
+            for i in range(3):
+                bounded[t, i] = s[t, i] + change
 
 
 @kernel
 def strain_ratio(model: Model, state: State) -> None:
     """strain/limit of every tetrahedron into state.strain_ratio (T,): 1 is exactly at its nearest limit."""
-    stretches, axes_of, ratio, projection = state.principal.s, state.principal.V, state.strain_ratio, model.projection
+    stretches, axes_of = state.principal.bounded, state.principal.V
+    ratio, projection = state.strain_ratio, model.projection
     stretch_room, compress_room = model.stretch_room, model.compress_room
     for t in range(ratio.shape[0]):
         s, V = stretches[t], axes_of[t]
@@ -214,8 +241,8 @@ def strain_ratio(model: Model, state: State) -> None:
 def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
     """Append the rows that are near their limit, now or at the end of the step; return the number of rows.
 
-    Writes state.J (rows, 4, 4) [1/m], row_slot, constant C + h J v at state.v, and the row's key: tetrahedron, i, j
-    and side; the rest is for `finish_rows`. -1 when the arrays hold no more rows.
+    Writes state.J (rows, 4, 4) [1/m], row_slot, row_part, constant C + h J v at state.v, and the row's key:
+    tetrahedron, i, j and side; the rest is for `finish_rows`. -1 when the arrays hold no more rows.
     """
     p, q = state.principal.P[0], state.principal.P[1]
     margin = _MARGIN if model.limit_compliance > 0.0 else _RIGID_MARGIN
@@ -225,7 +252,12 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
         model.tets, model.tet_order, model.tet_moves, model.gradients, model.tet_slot
     )  # fmt: skip
     own, velocities = state.principal, state.moving
-    left, stretches, right, scratch = own.U, own.s, own.V, own.D
+    left, stretches, bounded, right, scratch = own.U, own.s, own.bounded, own.V, own.D
+    patched, patches, rates, g, parts = (
+        model.patches.volume.shape[0] > 0, model.patches.lane, state.patch_rate, state.g, state.row_part
+    )  # fmt: skip
+    if patched:
+        patch_rates(model, state, model.patches.node, velocities)
     all_J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key
     row_side, constant, projection = state.row_side, state.constant, model.projection
     shares = state.compliance
@@ -237,24 +269,27 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
         t = order[o]
         if not moves[t]:
             continue
-        U, s, V, r = left[t], stretches[t], right[t], gradients[t]
+        U, s, s_bar, V, r = left[t], stretches[t], bounded[t], right[t], gradients[t]
+        swelling = rates[patches[t // 8, t % 8]] if patched else 0.0
         reach = -1.0
         for number in range(3 * axes * (2 if turning else 1)):
             i, j = number // axes % 3, number % axes
-            stretched = (s[i] >= 1.0) == (number < 3 * axes)
+            stretched = (s_bar[i] >= 1.0) == (number < 3 * axes)
             side = 1.0 if stretched else -1.0
             rooms = stretch_room if stretched else compress_room
             room = room_of(projection, V, i, j, side, rooms)
             if not room < math.inf:
                 continue
-            C = room - used(projection, s, V, i, j, side)
+            C = room - used(projection, s_bar, V, i, j, side)
             near = margin * room
             if near < C and not turning:
                 if reach < 0.0:
                     reach = h * _strain_rate(tets[t], velocities, r, U, V, scratch)
+                    if patched:
+                        reach += h * abs(swelling - scratch[0, 0] - scratch[1, 1] - scratch[2, 2]) / 3.0
                 if C - reach > near:
                     continue
-            gradient(projection, (U, s, V), (i, j, side), rooms, SOLVER_GAP, p, q)
+            part = gradient(projection, (U, s, V), s_bar[i] - 1.0, (i, j, side), rooms, SOLVER_GAP, p, q) / 3.0
             change = force = 0.0
             if rows >= row_tet.shape[0]:
                 return -1
@@ -264,11 +299,16 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
                 a = p[0] * r[n, 0] + p[1] * r[n, 1] + p[2] * r[n, 2]
                 b = V[0, i] * r[n, 0] + V[1, i] * r[n, 1] + V[2, i] * r[n, 2]
                 for k in range(3):
-                    g = U[k, i] * a + q[k] * b
-                    J[n, k] = g
-                    change += g * v[k]
-                    force += g * g if slot < nf else 0.0
+                    value = U[k, i] * a + q[k] * b
+                    if patched:
+                        value -= part * g[t, n, k]
+                    J[n, k] = value
+                    change += value * v[k]
+                    force += value * value if slot < nf else 0.0
                 row_slot[rows, n] = slot
+            if patched:
+                parts[rows] = part
+                change += part * swelling
             if (near < C and C + h * change > near) or force <= least:
                 continue
             row_tet[rows], row_key[rows] = t, 3 * i + j
@@ -279,7 +319,7 @@ def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
 
 @kernel
 def _strain_rate(nodes: Ints, v: Floats, r: Floats, U: Floats, V: Floats, D: Floats) -> float:
-    """|sym(RᵀḞ)| at the nodes' velocities [1/s]: no singular value changes faster. D (3, 3) scratch."""
+    """|sym(RᵀḞ)| at the nodes' velocities [1/s]: no singular value changes faster. D (3, 3) out: UᵀḞV."""
     D[:] = 0.0
     for n in range(4):
         w = v[nodes[n]]

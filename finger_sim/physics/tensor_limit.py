@@ -26,7 +26,7 @@ import numpy as np
 
 from ..arrays import Floats, Ints
 from .compile import formula, kernel, stage
-from .dilatation import mean_strains, part_of_patch, patch_rates
+from .dilatation import mean_strains, patch_rates
 from .jacobi import Symmetric, Vector, eigen, load_symmetric, store_vector
 from .lanes import (
     Lanes,
@@ -328,7 +328,12 @@ def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
     J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key
     row_side, constant, shares = state.row_side, state.constant, state.compliance
     whole = tensor.gathered.reshape((1, -1))
-    patched, patches, rates = model.patches.volume.shape[0] > 0, model.patches.lane, state.patch_rate
+    patched, patches, rates, parts = (
+        model.patches.volume.shape[0] > 0,
+        model.patches.lane,
+        state.patch_rate,
+        state.row_part,
+    )
     if patched:
         patch_rates(model, state, model.patches.node, velocities)
     for group in range((count + 7) // 8):
@@ -370,7 +375,8 @@ def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
                     store4(J, rows, n, j)
                     row_slot[rows, n] = slot
                 if patched:
-                    change += part_of_patch(1.0 - 2.0 * (entry % 2)) * rates[patches[t // 8, t % 8]]
+                    parts[rows] = (2.0 * (entry % 2) - 1.0) * (1.0 / 3.0)
+                    change += parts[rows] * rates[patches[t // 8, t % 8]]
                 ahead = C + h * change
                 near = (1.0 - NEAR) * lane(room, l)
                 if (near < C and ahead > near) or force <= least:

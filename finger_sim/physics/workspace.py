@@ -28,13 +28,15 @@ class _Sizes(NamedTuple):
     rows: int
     spectral: int  # tetrahedra with a singular value decomposition
     tensor: int  # batches under the `tensor` limit
+    patches: int
+    limited_patches: int  # the same, where limits act on them
     pgs: bool
 
 
 def _sizes(model: Model, nodes: int) -> _Sizes:
     count, batches = len(model.tets), len(model.lane_volume)
     tensor, pgs = model.projection == TENSOR, model.method == PGS
-    spectral = count if model.projection not in (NONE, TENSOR) else 0
+    spectral, patches = count if model.projection not in (NONE, TENSOR) else 0, len(model.patches.volume)
     contacts = len(model.contact_nodes) * model.has_plane
     both_sides = model.projection in (ORTHOGONAL, LINEAR)
     rows = (12 * count if tensor else (18 if both_sides else 9) * spectral) + 3 * contacts
@@ -42,7 +44,7 @@ def _sizes(model: Model, nodes: int) -> _Sizes:
         rows = min(MAX_ROWS, rows)
     return _Sizes(
         count, nodes, len(model.free), len(model.mobility), batches, contacts, rows, spectral,
-        batches if tensor else 0, pgs,
+        batches if tensor else 0, patches, patches if spectral or tensor else 0, pgs,
     )  # fmt: skip
 
 
@@ -99,7 +101,7 @@ def _told_and_reported(model: Model, size: _Sizes) -> dict[str, Any]:
         "wrench": np.zeros(6),
         "R": aligned(size.batches, 9, LANES),
         "E": strain,
-        "limit_strain": np.zeros_like(strain) if len(model.patches.volume) and size.tensor else strain,
+        "limit_strain": np.zeros_like(strain) if size.limited_patches else strain,
         "inverted": np.zeros(1, np.int64),
         "strain_ratio": np.zeros(size.tets),
     }
@@ -127,11 +129,12 @@ def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
         "driven_velocity": aligned(size.nodes, 4),
         "g": aligned(LANES * size.batches, 4, 4),
         "A": aligned(len(model.laplace), 3, 4),
-        "theta": np.zeros(len(model.patches.volume)),
-        "pressure": aligned(size.batches if len(model.patches.volume) else 0, LANES),
+        "theta": np.zeros(size.patches),
+        "pressure": aligned(size.batches if size.patches else 0, LANES),
         "G": aligned(len(model.patches.node), 4),
-        "patch_rate": np.zeros(len(model.patches.volume)),
-        "patch_force": np.zeros(len(model.patches.volume)),
+        "patch_rate": np.zeros(size.patches),
+        "patch_size": np.zeros((size.patches, 2)),
+        "patch_force": np.zeros(size.patches),
         "patch_cross": aligned(len(model.patches.node), 4),
         "rhs": aligned(size.slots, 4),
         "slot_velocity": aligned(size.slots, 4),
@@ -150,6 +153,7 @@ def _rows(size: _Sizes) -> dict[str, Any]:
         "row_tet": np.zeros(rows, np.int64),
         "row_key": np.zeros(rows, np.int64),
         "row_side": np.zeros(rows),
+        "row_part": np.zeros(rows if size.limited_patches else 0),
         "constant": np.zeros(rows),
         "compliance": np.zeros(rows),
         "scale": np.zeros(rows),
@@ -177,16 +181,21 @@ def _newton(size: _Sizes) -> Newton:
 def _pgs(size: _Sizes) -> Pgs:
     rows, free = (size.rows, size.free) if size.pgs else (0, 0)
     touched = min(free, 4 * rows)
+    patches = min(size.limited_patches, rows)
+    unknowns = 3 * touched + patches
     return Pgs(
         diagonal=np.zeros(rows),
         cross=np.zeros(rows),
         has_column=np.zeros(rows, np.int64),
         row_local=np.zeros((rows, 4), np.int64),
+        row_rate=np.zeros(rows if patches else 0, np.int64),
         local=np.zeros(free, np.int64),
         touched=np.zeros(touched, np.int64),
-        u=np.zeros(3 * touched + 3 if touched else 0),
-        S=np.zeros(9 * touched * touched),
-        Z=np.zeros(3 * rows * touched),
+        local_patch=np.zeros(size.limited_patches if patches else 0, np.int64),
+        touched_patch=np.zeros(patches, np.int64),
+        u=np.zeros(unknowns + 3 if unknowns else 0),
+        S=np.zeros(unknowns * unknowns),
+        Z=np.zeros(rows * unknowns),
         Y=np.zeros((free, 3, SIDES_AT_ONCE)),
         reached=np.zeros(free, np.int64),
     )
@@ -212,10 +221,12 @@ def _yielding(model: Model) -> Yielding:
 
 def _principal(size: _Sizes) -> Principal:
     tets = size.spectral
+    s = np.ones((tets, 3))
     return Principal(
         F=np.zeros((tets, 3, 3)),
         U=np.zeros((tets, 3, 3)),
-        s=np.ones((tets, 3)),
+        s=s,
+        bounded=s.copy() if size.limited_patches else s,
         V=np.zeros((tets, 3, 3)),
         columns=np.zeros((3, 3, BATCH)),
         turn=np.zeros((3, 3, BATCH)),

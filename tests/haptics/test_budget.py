@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_fingers import small
 
 from finger_sim import Scene, Simulator
 from finger_sim.haptics.budget import CUTS, MOST_PATIENCE, PATIENCE, WINDOW, Budget, claimed, ladder, usable
@@ -108,7 +109,7 @@ def test_rungs_never_ask_for_more_than_the_scene_and_each_changes_something() ->
 
 def test_errors_are_claimed_only_of_what_was_measured() -> None:
     """For each shipped scene its own; none once a value that decides about them is another."""
-    haptic, other = Scene.load("finger_haptic"), Scene.load("finger")
+    haptic, other = small("finger_haptic"), small("finger")
     mesh = haptic.load_mesh()
     mine, its = claimed(haptic, mesh), claimed(other, mesh)
     assert list(mine) == ["scene", *(cut.name for cut in CUTS)]
@@ -118,7 +119,7 @@ def test_errors_are_claimed_only_of_what_was_measured() -> None:
     for changes in ({"plane.friction": 0.6}, {"material.young": 1.5e4}, {"dt": 2e-3}, {"solver.tolerance": 2e-3}):
         assert claimed(haptic.with_values(changes), mesh) == {}
     assert claimed(haptic, Scene.load("presets/haptic").load_mesh()) == mine
-    coupled = Scene.load("finger_coupled")
+    coupled = small("finger_coupled")
     assert [rung.name for rung in usable(coupled, mesh)] == ["scene", "coarse", "lagged"]
     assert usable(haptic, mesh) == ladder(haptic.solver)
     beam = Scene.from_dict({"mesh": {"beam": {"size": [1.0, 1.0, 1.0], "cells": [1, 1, 1]}}})
@@ -128,7 +129,7 @@ def test_errors_are_claimed_only_of_what_was_measured() -> None:
 @pytest.mark.slow
 def test_the_largest_claim_of_the_scene_for_haptics_holds() -> None:
     """Measured anew, the quickest rung does no worse by 2 times, nor better by 2 times."""
-    scene = Scene.load("finger_haptic").with_values({"solver.sleep": False})
+    scene = small("finger_haptic").with_values({"solver.sleep": False})
     commands = poses(scene, "press_slide")
     exact = forces(Simulator(scene.with_values(CONVERGED)), commands)
     simulator = Simulator(scene)
@@ -140,7 +141,7 @@ def test_the_largest_claim_of_the_scene_for_haptics_holds() -> None:
 
 def test_a_simulator_walks_the_ladder_and_back() -> None:
     """solve_with changes how a step is solved, not the scene; rungs cost fewer factorisations."""
-    sim = Simulator(Scene.load("finger_haptic").with_values({"solver.sleep": False}))
+    sim = Simulator(small("finger_haptic").with_values({"solver.sleep": False}))
     rungs = {rung.name: rung.solver for rung in ladder(sim.scene.solver)}
     for name in ("scene", "lagged", "scene"):
         sim.solve_with(rungs[name])

@@ -10,8 +10,9 @@ from cases import for_each
 from numpy.typing import NDArray
 from physics_helpers import pose
 from scipy.spatial.transform import Rotation, Slerp
+from small_fingers import small
 
-from finger_sim import Pose, Scene, SceneError, Simulator
+from finger_sim import Pose, SceneError, Simulator
 from finger_sim.haptics.cadence import Cadence
 from finger_sim.haptics.following import LONGEST_WINDOW, Follower, Following
 from finger_sim.haptics.path import numbers
@@ -197,7 +198,7 @@ def test_the_time_of_a_command_is_what_makes_the_hand_smooth() -> None:
 
 def wrenches(commands: Stream, following: Following, seconds: float) -> tuple[Array, Array]:
     """(n, 3) force on the device and of the plane, of `finger_coupled` [N]."""
-    sim = Simulator(Scene.load("finger_coupled").with_values({"coupling.following": following}))
+    sim = Simulator(small("finger_coupled").with_values({"coupling.following": following}))
     sim.reset(commands[0][1])
     waiting, device, contact = list(commands), [], []
     for k in range(round(seconds / MS)):
@@ -241,7 +242,7 @@ def test_a_coupled_finger_pressed_is_not_kicked() -> None:
 @for_each("scene", ["finger_haptic", "finger_coupled"])
 def test_a_start_inside_the_plane_is_no_blow(scene: str) -> None:
     """2.2 mm deep: put on the plane, and there in a tenth of a second; then what it is after a slow press."""
-    sim = Simulator(Scene.load(scene))
+    sim = Simulator(small(scene))
     deep = pose((0.0, 0.0, 0.0051), FLAT)
     sim.reset(deep)
     assert sim.set_down_by == pytest.approx(2.24e-3, abs=0.1e-3)
@@ -260,7 +261,7 @@ def test_a_start_inside_the_plane_is_no_blow(scene: str) -> None:
 @for_each("following", ["hold", "predict"])
 def test_a_reset_inside_the_plane_goes_on_to_its_command(following: Following) -> None:
     """Without another command, in every mode: there in three tenths of a second at most, and no faster than in one."""
-    sim = Simulator(Scene.load("finger_coupled").with_values({"coupling.following": following}))
+    sim = Simulator(small("finger_coupled").with_values({"coupling.following": following}))
     deep = pose((0.0, 0.0, 0.0051), FLAT)
     sim.reset(deep)
     heights = [deep.position[2] + sim.set_down_by]
@@ -288,7 +289,7 @@ def test_a_clock_that_is_set_ends_no_following() -> None:
 
 def test_a_bone_at_rest_is_held_at_rest() -> None:
     """Held, led along a path to its end, and held again: nothing is left of the speed that it had when held first."""
-    sim = Simulator(Scene.load("finger_coupled").with_values({"coupling.following": "hold"}))
+    sim = Simulator(small("finger_coupled").with_values({"coupling.following": "hold"}))
     sim.reset(pose((0.0, 0.0, 0.05), FLAT))
     for _ in range(15):
         sim.step()
@@ -301,7 +302,7 @@ def test_a_bone_at_rest_is_held_at_rest() -> None:
 
 def test_a_time_that_is_none_is_refused() -> None:
     """By name, and as if it had not been tried."""
-    sim = Simulator(Scene.load("finger_coupled"))
+    sim = Simulator(small("finger_coupled"))
     for bad in (np.nan, np.inf):
         with pytest.raises(SceneError, match=f"received: got {bad}, allowed: a finite time"):
             sim.hear(pose((0.0, 0.0, 0.2), FLAT), bad)

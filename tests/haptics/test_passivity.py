@@ -9,15 +9,15 @@ import math
 import random
 from collections import deque
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
 from cases import for_each
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
+from small_fingers import small
 
-from finger_sim import Pose, Scene, Simulator
+from finger_sim import Pose, Simulator
 from finger_sim.haptics.coupling import displacement
 from finger_sim.haptics.passivity import FORGIVING, LET_GO, MOST_PERIODS, Control, Port, stable_stiffness
 
@@ -538,7 +538,7 @@ class Finger:
     """The shipped haptic finger, its pad down, as an environment that starts 1 mm over the table."""
 
     def __init__(self) -> None:
-        self._sim = Simulator(Scene.load(Path(__file__).parents[2] / "config" / "finger_haptic.yaml"))
+        self._sim = Simulator(small("finger_haptic"))
         self._turn = Rotation.from_quat(self._sim.scene.initial_pose.orientation)
         self.height = -float(self._turn.apply(np.array(self._sim.mesh.points))[:, 2].min())
         self._sim.reset(self._pose([0.0, 0.0, 0.001, 0.0, 0.0, 0.0]))

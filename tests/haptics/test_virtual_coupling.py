@@ -11,6 +11,7 @@ from cases import for_each
 from physics_helpers import Array, beam_scene, pose
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from small_fingers import small
 
 from finger_sim import Pose, Scene, SceneError, Simulator, Status, StepResult
 from finger_sim.haptics.coupling import CommandSpeed, displacement, spring_wrench
@@ -23,7 +24,7 @@ CLEAR, TOUCH = 0.02, 0.00734
 
 
 def coupled(**values: Any) -> Scene:
-    return Scene.load("finger_coupled").with_values({k.replace("__", "."): v for k, v in values.items()})
+    return small("finger_coupled").with_values({k.replace("__", "."): v for k, v in values.items()})
 
 
 def block(**coupling: Any) -> Scene:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from physics_helpers import Array, beam_scene, pose
 from scipy.spatial.transform import Rotation
+from small_fingers import small
 
 from finger_sim import Pose, Scene, SceneError, Simulator, Status
 
@@ -44,7 +45,7 @@ def test_relinearising_is_newtons_method_on_backward_euler(method: str) -> None:
 
 def press_and_slide(level: str) -> tuple[Array, int]:
     """Contact wrenches (steps, 6) of the shipped finger, pressed and slid, and all iterations."""
-    scene = Scene.load("finger_haptic").with_values({"solver.level": level, "solver.tolerance": 1e-6})
+    scene = small("finger_haptic").with_values({"solver.level": level, "solver.tolerance": 1e-6})
     sim = Simulator(scene)
     orientation = scene.initial_pose.orientation
     sim.reset(Pose((0.0, 0.0, 0.0085), orientation))
@@ -70,12 +71,12 @@ def test_lagged_is_as_accurate_for_fewer_matrices() -> None:
 def test_lagged_is_refused_where_it_means_nothing(values: dict[str, object]) -> None:
     """`lagged` needs `newton`, and goes with no relinearisation: the error names the key and what is allowed."""
     with pytest.raises(SceneError, match=r"solver\.level.*lagged.*standard"):
-        Scene.load("finger_haptic").with_values({"solver.level": "lagged", **values})
+        small("finger_haptic").with_values({"solver.level": "lagged", **values})
 
 
 def test_exceeded_limits_are_said() -> None:
     """A bone driven down until its pulp must exceed its limits: LIMIT_EXCEEDED exactly where strain/limit > 1.5."""
-    scene = Scene.load("finger_haptic")
+    scene = small("finger_haptic")
     sim = Simulator(scene)
     sim.reset(Pose((0.0, 0.0, 0.0085), scene.initial_pose.orientation))
     said = []

@@ -14,8 +14,8 @@ pytest.importorskip("rclpy")
 from geometry_msgs.msg import PoseStamped
 from mcap.reader import make_reader
 from ros_helpers import Client, NodeProcess
+from small_fingers import SMALL_COUPLED, small
 
-from finger_sim import Scene
 from finger_sim.bags import cdr
 from finger_sim.simulation.replay import Selection, run
 
@@ -58,14 +58,14 @@ def test_live_follows_offline(tmp_path: Path, seconds: float, priority: int) -> 
     Where it held the rate: 99 of 100 forces are those of steps on an even clock within two of them, to 1 % of the peak.
     """
     bag = tmp_path / "live"
-    arguments = ("-p", "scene:=finger_coupled", "-p", f"record:={bag}", "-p", f"realtime_priority:={priority}")
+    arguments = ("-p", f"scene:={SMALL_COUPLED}", "-p", f"record:={bag}", "-p", f"realtime_priority:={priority}")
     with NodeProcess(tmp_path / "log", *arguments) as node:
         node.wait_for("ready after")
         with Client(node.domain) as client:
             palpate(client, seconds)
             _, values = client.report()
         assert node.end() == 0
-    scene = Scene.load("finger_coupled")
+    scene = small("finger_coupled")
     run(scene, bag, tmp_path / "again", Selection(mode="recorded"))
     for topic in ("/contact_wrench", "/device_wrench"):
         (when, live), (when_again, again) = wrenches(bag, topic), wrenches(tmp_path / "again", topic)
@@ -84,7 +84,7 @@ def test_live_follows_offline(tmp_path: Path, seconds: float, priority: int) -> 
 def even_clock(bag: Path, out: Path) -> tuple[float, float, float]:
     """Of `run` as it is: the share of live forces that are in it within two steps to 1 % of the peak; how far the
     farthest is off [N]; the peak [N]."""
-    run(Scene.load("finger_coupled"), bag, out)
+    run(small("finger_coupled"), bag, out)
     (when, live), (when_even, even) = (wrenches(path, "/contact_wrench") for path in (bag, out))
     inside = (when > when_even[0] + 3_000_000) & (when < when_even[-1] - 3_000_000)
     live, ends = live[inside, :3], when[inside] + 1_000_000  # a live wrench is logged when its step began

@@ -22,6 +22,7 @@ from ros_helpers import Client, NodeProcess, bag_process, command, write_block
 from rosbags.rosbag2 import Reader as RosbagsReader
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
+from small_fingers import SMALL_COUPLED
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
@@ -474,7 +475,7 @@ def test_a_light_touch_at_rest_is_no_warning(tmp_path):
     message = command(0.0)
     q = message.pose.orientation
     q.x = q.w = 0.5**0.5
-    with NodeProcess(tmp_path / "log", "-p", "scene:=finger_coupled") as node, Client(node.domain) as client:
+    with NodeProcess(tmp_path / "log", "-p", f"scene:={SMALL_COUPLED}") as node, Client(node.domain) as client:
         node.wait_for("ready after")
         assert "real-time priority" in node.output
         heights = iter(np.linspace(0.009, PRESSED, 40))

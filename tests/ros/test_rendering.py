@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
+from small_fingers import small
 
 from finger_sim import Pose, Scene
 from finger_sim.ros.inbox import Command
@@ -20,7 +21,7 @@ from finger_sim.ros.stepper import Stepper
 
 def stepper(**options: Any) -> tuple[Stepper, NodeOptions]:
     """And its options."""
-    return Stepper(Scene.load("finger_coupled"), SimpleNamespace(), None, None), NodeOptions(**options)  # type: ignore[arg-type]
+    return Stepper(small("finger_coupled"), SimpleNamespace(), None, None), NodeOptions(**options)  # type: ignore[arg-type]
 
 
 FORCE = np.array([0.0, 0.0, 4.0, 0.0, 0.1, 0.0])
@@ -42,7 +43,7 @@ def test_a_target_of_the_plane_is_taken_once() -> None:
     """Each that came, however it was put there; then none until the next."""
     outputs: Any = SimpleNamespace(options=NodeOptions(), step=lambda *_: None)
     clock: Any = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=0))
-    node, taken = Stepper(Scene.load("finger_coupled"), outputs, clock, None), []
+    node, taken = Stepper(small("finger_coupled"), outputs, clock, None), []
     result: Any = SimpleNamespace(device_wrench=FORCE)
     step = lambda command, plane, now: taken.append(plane) or result  # noqa: E731
     node.sim = SimpleNamespace(step=step)  # type: ignore[assignment]
@@ -61,7 +62,7 @@ def test_what_the_file_of_a_mesh_lost_is_logged(monkeypatch: pytest.MonkeyPatch)
     made: Any = SimpleNamespace(mesh=SimpleNamespace(notes=("2 nodes left out", "it is 10 m long")))
     monkeypatch.setattr("finger_sim.ros.stepper.Simulator", lambda scene, progress: made)
     monkeypatch.setattr(Stepper, "_take_budget", lambda _: None)
-    scene, outputs = Scene.load("finger_coupled"), SimpleNamespace(prepare=lambda mesh: None)
+    scene, outputs = small("finger_coupled"), SimpleNamespace(prepare=lambda mesh: None)
     clock: Any = None
     Stepper(scene, outputs, clock, SimpleNamespace(warning=warned.append)).prepare(print)  # type: ignore[arg-type]
     assert warned == [f"{scene.mesh.file}: {note}" for note in made.mesh.notes]

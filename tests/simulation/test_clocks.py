@@ -9,8 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 from physics_helpers import pose
 from scipy.spatial.transform import Rotation
+from small_fingers import small
 
-from finger_sim import Pose, Scene, Simulator
+from finger_sim import Pose, Simulator
 from finger_sim.haptics.coupling import CommandSpeed
 
 FLAT = Rotation.from_euler("x", 90, degrees=True)
@@ -19,7 +20,7 @@ MS = 0.001
 
 def finger(scene: str = "finger_haptic", height: float = 0.05, **values: Any) -> Simulator:
     """Hanging over the plane for a second, long enough to sleep where it may."""
-    sim = Simulator(Scene.load(scene).with_values({k.replace("__", "."): v for k, v in values.items()}))
+    sim = Simulator(small(scene).with_values({k.replace("__", "."): v for k, v in values.items()}))
     sim.reset(pose((0, 0, height), FLAT))
     for _ in range(1000):
         sim.step()
@@ -115,7 +116,7 @@ def peak_rise(sim: Simulator, steps: int, **first: Any) -> tuple[float, float]:
 @pytest.mark.parametrize("how", ["first target", "target in the first step", "live value"])
 def test_a_plane_comes_at_a_speed(how: str) -> None:
     """3 cm up under a hanging finger, which it then presses 2 mm: in a tenth of a second, not in one step."""
-    touch = -float(FLAT.apply(np.array(Simulator(Scene.load("finger_haptic")).mesh.points))[:, 2].min())
+    touch = -float(FLAT.apply(np.array(Simulator(small("finger_haptic")).mesh.points))[:, 2].min())
     sim = finger(height=touch + 0.028)
     up: dict[str, Any] = {"plane": pose((0, 0, 0.03))}
     if how == "live value":

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from physics_helpers import Array, pose
 from scipy.spatial.transform import Rotation
+from small_fingers import small
 
-from finger_sim import Pose, Scene, SceneError, Simulator
+from finger_sim import Pose, SceneError, Simulator
 from finger_sim.scene import Coupling, Plane
 from finger_sim.simulation.ground import Ground
 
@@ -17,7 +18,7 @@ DOWN = 0.0058
 
 
 def finger(**values: object) -> Simulator:
-    scene = Scene.load("finger_haptic").with_values({k.replace("__", "."): v for k, v in values.items()})
+    scene = small("finger_haptic").with_values({k.replace("__", "."): v for k, v in values.items()})
     sim = Simulator(scene)
     for k in range(200):
         sim.step(pose((0.0, 0.0, 0.02 + (DOWN - 0.02) * (k + 1) / 200), LAID))
@@ -170,4 +171,4 @@ def test_a_pose_of_no_use_is_refused(plane: Pose, names: str) -> None:
 
 def test_a_scene_without_a_plane_has_none_to_move() -> None:
     with pytest.raises(SceneError, match="plane"):
-        Simulator(Scene.load("finger_haptic").with_values({"plane": None})).step(None, pose())
+        Simulator(small("finger_haptic").with_values({"plane": None})).step(None, pose())

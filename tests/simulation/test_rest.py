@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from physics_helpers import beam_scene, finger_scene, pose
 from scipy.spatial.transform import Rotation
+from small_fingers import small
 
 from finger_sim import Scene, Simulator, Status
 from finger_sim.simulation.guard import STILL_TIME
@@ -17,7 +18,7 @@ FLAT = Rotation.from_euler("x", 90, degrees=True)
 
 
 def haptic(**values: Any) -> Scene:
-    return Scene.load("finger_haptic").with_values({k.replace("__", "."): v for k, v in values.items()})
+    return small("finger_haptic").with_values({k.replace("__", "."): v for k, v in values.items()})
 
 
 def pressed(scene: Scene, depth: float) -> tuple[Simulator, Any]:

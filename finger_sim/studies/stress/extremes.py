@@ -91,6 +91,8 @@ def parameters() -> Iterator[Case]:
         yield from _both("density", f"density_{density:g}", material={"density": density})
     tight = {"stretch": [1.02] * 3, "compress": [0.98] * 3}
     yield from _both("locking", "locking_0.499", material={"poisson": 0.499}, limits=tight)
+    for nu in (0.45, 0.4999):
+        yield from _both("patches", f"patches_{nu:g}", material={"volumetric": "patch", "poisson": nu})
 
 
 def bodies() -> Iterator[Case]:

@@ -82,6 +82,7 @@ class _Draw:
             "young": self.log(1.0, 1e12),
             "poisson": self.one_of(float(self.rng.uniform(-0.9, 0.49)), 0.5 - self.log(1e-4, 0.1)),
             "damping": damping,
+            "volumetric": self.one_of("element", "patch"),
         }
 
     def solver(self) -> dict[str, Any]:

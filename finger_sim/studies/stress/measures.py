@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import Floats, Ints
+from ...physics.patches import partition
 from ...scene import Limits, Scene
 from ...scene.mesh import TetMesh
 
@@ -50,6 +51,10 @@ class Body:
         self.gravity: Floats = np.array(scene.gravity)
         self.free = np.ones(len(mesh.points), np.bool_)
         self.free[scene.driven_nodes(mesh)] = False
+        self.patch: Ints = np.arange(len(mesh.tets))
+        """Tetrahedra with the same number share their volume strain."""
+        if scene.material.volumetric == "patch":
+            self.patch = partition(mesh.tets.astype(np.int64), self.free).of_tet
 
     def gradient(self, x: Floats) -> Floats:
         """F (T, 3, 3) at positions (n, 3)."""
@@ -61,8 +66,24 @@ class Body:
         """What `polar` has, at positions (n, 3)."""
         return polar(self.gradient(x))
 
+    def bounded(self, shape: Shape) -> Shape:
+        """What limits bound: each tetrahedron's volume strain is that of its patch."""
+        change = self._change(shape.s.sum(axis=1) - 3.0)
+        return Shape(shape.F + change[:, None, None] * shape.R, shape.R, shape.s + change[:, None], shape.V)
+
+    def _change(self, traces: Floats) -> Floats:
+        """What a patch's volume strain is above its tetrahedra's own, a third of it for each axis. (T,)"""
+        volume = np.bincount(self.patch, self.volume)
+        mean = np.bincount(self.patch, self.volume * traces) / volume
+        change: Floats = (mean[self.patch] - traces) / 3.0
+        return change
+
     def elastic(self, strain: Floats) -> Floats:
-        """Energy (T,) [J] of principal strains (T, 3)."""
+        """Energy (T,) [J] of principal strains (T, 3).
+
+        That of the deviator and of the patch's volume strain, which is what Hooke's law has for the sum of the two.
+        """
+        strain = strain + self._change(strain.sum(axis=1))[:, None]
         density = self.shear * (strain**2).sum(axis=1) + 0.5 * self.lame_lambda * strain.sum(axis=1) ** 2
         energy: Floats = self.volume * density
         return energy
@@ -76,10 +97,8 @@ class Body:
     def linearised_away(self, before: Shape, after: Shape) -> float:
         """Elastic energy that a step from one shape to the other does not see, R being that of its start [J]."""
         seen = np.swapaxes(before.R, 1, 2) @ after.F
-        strain = 0.5 * (seen + np.swapaxes(seen, 1, 2)) - np.eye(3)
-        trace = np.trace(strain, axis1=1, axis2=2)
-        density = self.shear * (strain**2).sum(axis=(1, 2)) + 0.5 * self.lame_lambda * trace**2
-        return float((self.elastic(after.s - 1.0) - self.volume * density).sum())
+        strain = np.linalg.eigvalsh(0.5 * (seen + np.swapaxes(seen, 1, 2)) - np.eye(3)).astype(np.float64)
+        return float((self.elastic(after.s - 1.0) - self.elastic(strain)).sum())
 
 
 def strain_ratio(limits: Limits, shape: Shape) -> float:
@@ -96,6 +115,7 @@ def limit_energy(limits: Limits, young: float, body: Body, shape: Shape) -> floa
     """Energy in the springs of violated limits, one for each row, at κ E V [J]. Not for all projections: see KNOWN."""
     if limits.stiffness is None:
         return 0.0
+    shape = body.bounded(shape)
     total = np.zeros(len(shape.s))
     if limits.projection == "tensor":
         for values, y in _tensor_eigen(limits, shape):

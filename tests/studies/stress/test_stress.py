@@ -181,10 +181,11 @@ stress.stress(stress.Options(cases=0, out=Path(sys.argv[1])))
     assert "does not return" in (folder / "README.txt").read_text()
 
 
-def test_energy_from_nowhere_fails() -> None:
+@for_each("volumetric", ["element", "patch"])
+def test_energy_from_nowhere_fails(volumetric: str) -> None:
     """A body that swings ever faster under its own weight, held still; the true one does not."""
     swings = {"mass": 0.0, "stiffness": 0.0}
-    case = small([STILL] * 60, plane=None, limits=None, material={"damping": swings})
+    case = small([STILL] * 60, plane=None, limits=None, material={"damping": swings, "volumetric": volumetric})
 
     def faster(sim: Any, out: StepResult) -> StepResult:
         sim._state.v[sim._model.free] *= 1.5

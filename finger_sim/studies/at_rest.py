@@ -1,0 +1,198 @@
+"""What a finger answers at rest, pressed on a table: what a mesh is judged by.
+
+Depth is how far the bone has come down since the skin of the finger that is meant, that of `finger_shape`, first
+touched: a command moves the bone, so that a mesh whose pad lies too high presses too little. A press goes down in small
+parts and rests after each; what a finger answers at rest depends on neither the time step nor damping.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..arrays import Floats
+from ..bags.strokes import FLAT, SIDE
+from ..errors import FingerSimError
+from ..physics.rotations import Quaternion, matrix
+from ..scene import Pose, Scene
+from ..scene.mesh import TetMesh
+from ..scene.resources import shipped
+from ..simulation.simulator import Simulator
+
+TIP_TILT = math.radians(60.0)
+"""Of a finger on its tip: more, and the bone would be between the table and what is pressed."""
+ORIENTATIONS: dict[str, Quaternion] = {
+    "flat": FLAT,
+    "side": SIDE,
+    "tip": (
+        math.cos(0.5 * TIP_TILT) * FLAT[0], math.sin(0.5 * TIP_TILT) * FLAT[3],
+        -math.sin(0.5 * TIP_TILT) * FLAT[0], math.cos(0.5 * TIP_TILT) * FLAT[3],
+    ),
+}  # fmt: skip
+"""Of the finger frame in the world: on the pad, on its side, tilted towards its tip."""
+DEPTHS = {"flat": (0.5e-3, 1e-3, 1.5e-3, 2e-3), "side": (0.5e-3, 1e-3), "tip": (0.5e-3, 1e-3)}
+"""How far the bone comes down [m]."""
+FORCES = (1.0, 4.0)
+"""Normal forces of a flat press at which area and tangential stiffness are taken [N]."""
+SHEAR = 5e-6
+"""Way of the bone along the finger that tangential stiffness is taken over [m]: no node slips yet."""
+
+SETTING: dict[str, Any] = {
+    "gravity": [0.0, 0.0, 0.0],
+    "dt": 1e-2,
+    "substeps": 1,
+    "solver.method": "newton",
+    "solver.level": "standard",
+    "solver.tolerance": 1e-6,
+    "solver.max_iterations": 100,
+    "solver.relinearizations": 2,
+    "solver.sleep": False,
+    "coupling.type": "kinematic",
+}
+"""Of every press: long steps, which let motion die out at once."""
+CALM = {"limits.viscosity": 50.0}
+"""Of limits: none of it is left at rest."""
+_PART = 5e-5  # of a press between two rests [m]
+_CALM_STEPS, _CHANGE = 4, 1e-5  # at rest in so many steps the force changes by no more than this part of itself
+_LONGEST, _STIRRED = 60, 2e-2  # after so many steps, by this in half of them: a few limits come and go
+_FORCE = 2e-3  # part by which a force that is sought may be missed
+
+
+@dataclasses.dataclass(frozen=True)
+class Answers:
+    """A finger's answers at rest."""
+
+    force: Mapping[str, tuple[float, ...]]
+    """Normal force at DEPTHS, by orientation [N]."""
+    tangential: tuple[float, ...]
+    """Tangential stiffness along the finger at FORCES, flat, before anything slips [N/m]; empty without limits."""
+    area: tuple[float, ...]
+    """Contact area at FORCES, flat [m²]: that of the deformed skin at the nodes that press; empty without limits."""
+
+    def values(self) -> dict[str, float]:
+        """By name, units included."""
+        out = {
+            f"{name} {1e3 * depth:g} mm [N]": force
+            for name, depths in DEPTHS.items()
+            for depth, force in zip(depths, self.force.get(name, ()), strict=False)
+        }
+        for load, stiffness, area in zip(FORCES, self.tangential, self.area, strict=False):
+            out[f"tangential {load:g} N [N/mm]"] = 1e-3 * stiffness
+            out[f"area {load:g} N [mm²]"] = 1e6 * area
+        return out
+
+
+class NotAtRestError(FingerSimError):
+    """A press that does not come to rest."""
+
+
+def answers(scene: Scene, orientations: tuple[str, ...] = ("flat", "side", "tip")) -> Answers:
+    """The answers of a scene's finger, its limits included; without limits those of the flat press alone make sense.
+
+    Raises NotAtRestError when the finger does not come to rest, SceneError where the scene has no table.
+    """
+    scene = scene.with_values(SETTING | (CALM if scene.limits is not None else {}))
+    forces, tangential, area = {}, [], []
+    for name in orientations:
+        press = Press(scene, ORIENTATIONS[name])
+        forces[name] = tuple(press.to(depth) for depth in DEPTHS[name])
+    if scene.limits is not None and "flat" in orientations:
+        press = Press(scene, FLAT)
+        for load in FORCES:
+            press.until(load)
+            area.append(press.area())
+            tangential.append(press.tangential())
+    return Answers(forces, tuple(tangential), tuple(area))
+
+
+class Press:
+    """A finger above the table, and the way down."""
+
+    def __init__(self, scene: Scene, orientation: Quaternion) -> None:
+        self.simulator = Simulator(scene)
+        self._orientation = orientation
+        self._touch = touching(orientation)
+        self._height = self._touch + 1e-4
+        self._along = 0.0
+        self.simulator.reset(self._pose())
+
+    @property
+    def depth(self) -> float:
+        """Of the bone [m]."""
+        return self._touch - self._height
+
+    def to(self, depth: float) -> float:
+        """Goes there; the normal force at rest [N]."""
+        force = 0.0
+        parts = max(1, math.ceil(abs(depth - self.depth) / _PART - 1e-9))
+        for height in np.linspace(self._height, self._touch - depth, parts + 1)[1:]:
+            self._height = float(height)
+            force = float(self._rest()[2])
+        return force
+
+    def until(self, load: float) -> None:
+        """Goes on until the normal force at rest is `load` [N]."""
+        depth, force = self.depth, 0.0
+        while force < load:
+            before, depth_before = force, depth
+            depth = self.depth + _PART
+            force = self.to(depth)
+        for _ in range(20):
+            if abs(force - load) <= _FORCE * load:
+                return
+            wanted = depth_before + (load - before) * (depth - depth_before) / (force - before)
+            if abs(force - load) < abs(before - load):
+                depth_before, before = depth, force
+            depth, force = wanted, self.to(wanted)
+        raise NotAtRestError(f"a press to {load} N: got {force:.6g} N at {1e3 * depth:.6g} mm")
+
+    def tangential(self) -> float:
+        """Tangential stiffness along the finger here [N/m]."""
+        ways = []
+        for along in (SHEAR, -SHEAR):
+            start = float(self._rest()[0])
+            self._along += along
+            ways.append((float(self._rest()[0]) - start) / -along)
+        return float(np.mean(ways))
+
+    def area(self) -> float:
+        """Contact area here [m²]: of each triangle of the skin, as the table sees it, a third per node that presses."""
+        simulator = self.simulator
+        x, skin = simulator.positions, simulator.mesh.surface
+        a, b = x[skin[:, 1], :2] - x[skin[:, 0], :2], x[skin[:, 2], :2] - x[skin[:, 0], :2]
+        seen = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        at = np.bincount(skin.ravel(), np.repeat(seen / 3.0, 3), len(x))
+        return float(at[simulator.contact_forces[:, 2] > 0.0].sum())
+
+    def _rest(self) -> Floats:
+        """The contact force at rest [N], (3,); the mean where what is left of motion hardly changes it."""
+        forces: list[Floats] = []
+        while len(forces) < _LONGEST:
+            forces.append(self.simulator.step(self._pose()).contact_wrench[:3])
+            last = np.array(forces[-_CALM_STEPS:])
+            if len(last) == _CALM_STEPS and _spread(last) <= _CHANGE:
+                return np.asarray(last[-1])
+        last = np.array(forces[-_LONGEST // 2 :])
+        if _spread(last) <= _STIRRED:
+            return np.asarray(last.mean(axis=0))
+        raise NotAtRestError(
+            f"a press to {1e3 * self.depth:.4g} mm: moves still after {_LONGEST} steps, force {last[-1]} N"
+        )
+
+    def _pose(self) -> Pose:
+        return Pose((self._along, 0.0, self._height), self._orientation)
+
+
+def _spread(forces: Floats) -> float:
+    """How much forces (n, 3) differ, in parts of the last."""
+    return float(np.ptp(forces, axis=0).max() / max(np.linalg.norm(forces[-1]), 1e-9))
+
+
+def touching(orientation: Quaternion) -> float:
+    """Height of the finger frame at which the skin that is meant touches the table [m]: that of the finest mesh."""
+    points: Floats = TetMesh.load(shipped("config") / "meshes" / "finger_16000.vtu").points
+    return -float((points @ matrix(orientation).T)[:, 2].min())
