@@ -149,7 +149,7 @@ DEFAULT = Grid(
         "dt": [5e-4, 1e-2],
         "substeps": [2, 4],
         "solver.tolerance": [1e-1, 1e-2, 1e-4],
-        "solver.max_iterations": [1, 2],
+        "solver.max_iterations": [2, 3],
         "solver.relinearizations": [1],
         "limits.stiffness": [10.0, 30.0],
         "limits.viscosity": [0.0],
