@@ -389,6 +389,7 @@ def test_a_bone_that_yields_balances() -> None:
     """
     scene = pad("tensor").with_values(
         {
+            "limits.stiffness": 1000.0,
             "solver": NEWTON | {"max_iterations": 40},
             "coupling": {"type": "virtual", "stiffness": 2e4, "damping": 20.0, "rotational_stiffness": 10.0},
         }
