@@ -6,7 +6,7 @@ velocities since the rows were formed,
     r(δ) = b − A (v + δ) + h Σ_i J_iᵀ λ_i = 0,    λ_i = max(0, −g_i) / ε_i,    g_i = constant_i + h J_i δ,
 
 and for the tangents of a contact λ_t = τ min(1, μ λ_n / |τ|), τ_t = −g_t / ε_t: the exact Coulomb cone. A limit row
-couples the four nodes of its tetrahedron only, a contact one node: the Hessian
+couples the four nodes of its tetrahedron only, or of its patch, a contact one node: the Hessian
 
     H = A + h² Σ_{λ_i > 0} J_iᵀ J_i / ε_i + contacts
 
