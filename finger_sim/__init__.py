@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from .scene import Pose, Scene
     from .simulation.result import StepResult
     from .simulation.simulator import Simulator
+    from .simulation.touch import Touch
 
 __all__ = [
     "BagError",
@@ -20,6 +21,7 @@ __all__ = [
     "Simulator",
     "Status",
     "StepResult",
+    "Touch",
 ]
 
 _HOME = {
@@ -28,6 +30,7 @@ _HOME = {
     "Simulator": "simulation.simulator",
     "StepResult": "simulation.result",
     "Status": "physics.step",
+    "Touch": "simulation.touch",
 }
 
 

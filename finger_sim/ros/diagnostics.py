@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import CancelledError
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from ..haptics.budget import claimed
 from ..haptics.passivity import stable_stiffness
+from ..simulation.touch import Imprint
 from .graph_watch import GraphWatch
 from .inbox import Inbox
 from .loop import Loop, StepCounts
@@ -107,6 +109,7 @@ class Reporter:
                 "passivity factor": f"{port.factor:.3f}",
             }
         )
+        self._touch(values)
         self._rung(values, problems)
         free = options.mode == "free"
         newest = self._stepper.newest
@@ -121,6 +124,22 @@ class Reporter:
             problems.append((1, f"{progress.overruns - before.overruns} {what}"))
         if window.doubtful:
             problems.append((1, f"{(window.status & DOUBTFUL).name} in {window.doubtful} of {window.steps} steps"))
+
+    def _touch(self, values: dict[str, str]) -> None:
+        """How the finger touches the plane right now; nothing of it while the loop is stalled.
+
+        The loop copies what tells of it between two steps; the rest is done here.
+        """
+        answer = self._loop.call(lambda: Imprint.of(self._stepper.sim))
+        try:
+            touch = answer.result(STALL).touch()
+        except (TimeoutError, CancelledError):
+            answer.cancel()
+            return
+        centre = touch.centre
+        values["contact area [mm^2]"] = f"{touch.area * 1e6:.3f}"
+        values["centre of pressure [mm]"] = " ".join(f"{x * 1e3:.3f}" for x in centre) if centre else "none"
+        values["slipping contacts [%]"] = f"{100.0 * touch.slipping:.1f}"
 
     def _following(self, values: dict[str, str], problems: list[tuple[int, str]]) -> float:
         """How commands come and are followed; by how much the bone is behind them [s]."""

@@ -9,6 +9,7 @@ from ..arrays import Floats
 from ..physics import step as stepping
 from ..physics.step import Status
 from ..scene import Pose
+from .touch import Touch
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -29,13 +30,14 @@ class StepResult:
     contacts: int  # nodes that carry a contact force
     max_penetration: float  # deepest surface node [m], 0 when none
     asleep: bool = False  # nothing moved and nothing changed: the step was not computed
+    touch: Touch | None = None  # area, centre and slip of the contact; None unless the Simulator was asked for it
 
     def later(self, time: float) -> StepResult:
         """The same of a body asleep, at another time."""
         return StepResult(
             time, self.contact_wrench.copy(), self.device_wrench.copy(), self.pose, 0, self.residual, self.status,
             self.limited_tets, self.limit_rows, self.locked_tets, self.max_strain_ratio, self.contacts,
-            self.max_penetration, True,
+            self.max_penetration, True, self.touch,
         )  # fmt: skip
 
 

@@ -30,6 +30,7 @@ from .ground import Ground
 from .guard import Guard, Verdict
 from .result import StepResult, measured
 from .rigid import Placed, best_fit, carried, twist_of
+from .touch import Imprint
 
 Tell = Callable[[str], None]
 """Takes short texts on what is going on."""
@@ -44,10 +45,11 @@ class Simulator:
     A command maps the mesh as read into the world (`Pose`). The body starts at rest at `scene.initial_pose`.
     `progress` is told in short texts what is going on while kernels compile or load.
     `timed`: steps measure their stages (`stage_seconds`), which costs them a few clock readings.
+    `touch`: results hold contact area, centre of pressure and slip (`StepResult.touch`).
     Raises MeshError when the scene's mesh cannot be used.
     """
 
-    def __init__(self, scene: Scene, progress: Tell | None = None, *, timed: bool = False) -> None:
+    def __init__(self, scene: Scene, progress: Tell | None = None, *, timed: bool = False, touch: bool = False) -> None:
         tell = progress or (lambda text: None)
         self.scene = scene
         self.mesh: TetMesh = scene.load_mesh()
@@ -56,9 +58,8 @@ class Simulator:
         self._state = build_state(self._model, self.mesh.points, timed)
         self._rest_driven = self.mesh.points[self._model.driven]
         self._placed = Placed(self._rest_driven)
-        self._driven = scene.driven is not None
+        self._driven, self._yields = scene.driven is not None, scene.coupling.type == "virtual"
         self._skin = self.mesh.points[self._model.contact_nodes]
-        self._yields = scene.coupling.type == "virtual"
         x, y, z = self._rest_driven.mean(axis=0).tolist() if self._driven else (0.0, 0.0, 0.0)
         self._centre: Vec3 = (x, y, z)
         self._given = self._good = self.pose = scene.initial_pose
@@ -72,7 +73,7 @@ class Simulator:
         self.set_down_by = 0.0
         """How far above its command the last reset put the body, as it would have been in the plane [m]."""
         self._was_set_down = False
-        self._steps, self._timed = 0, timed
+        self._steps, self._timed, self._touch = 0, timed, touch
         with compiling(tell, KERNELS):
             self._ready = ready(self._model, self._state)
             # Every kernel that a run will call is compiled or loaded here.
@@ -142,11 +143,9 @@ class Simulator:
 
     def _checked_plane(self, plane: Pose | None) -> Pose | None:
         """A pose of the plane likewise; None where there is none."""
-        if plane is None:
-            return None
-        if self._ground is None:
+        if plane is not None and self._ground is None:
             raise SceneError("plane", None, "a scene with a plane, to move it")
-        return checked_pose(plane, "plane")
+        return None if plane is None else checked_pose(plane, "plane")
 
     def _substep(self, part: float, shifts: bool) -> list[float]:
         """Advance by the substep that ends after a part of the step; State.result, with RESTORED in its status."""
@@ -193,6 +192,7 @@ class Simulator:
             iterations=iterations,
             residual=residual,
             status=Status(status),
+            touch=Imprint.of(self).touch() if self._touch else None,
             **measured(result),
         )
 

@@ -22,6 +22,7 @@ from ..scene import Pose, Scene
 from ..scene.mesh import TetMesh
 from ..scene.resources import shipped
 from ..simulation.simulator import Simulator
+from ..simulation.touch import Imprint
 
 TIP_TILT = math.radians(60.0)
 """Of a finger on its tip: more, and the bone would be between the table and what is pressed."""
@@ -161,12 +162,7 @@ class Press:
 
     def area(self) -> float:
         """Contact area here [m²]: of each triangle of the skin, as the table sees it, a third per node that presses."""
-        simulator = self.simulator
-        x, skin = simulator.positions, simulator.mesh.surface
-        a, b = x[skin[:, 1], :2] - x[skin[:, 0], :2], x[skin[:, 2], :2] - x[skin[:, 0], :2]
-        seen = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-        at = np.bincount(skin.ravel(), np.repeat(seen / 3.0, 3), len(x))
-        return float(at[simulator.contact_forces[:, 2] > 0.0].sum())
+        return Imprint.of(self.simulator).touch().area
 
     def _rest(self) -> Floats:
         """The contact force at rest [N], (3,); the mean where what is left of motion hardly changes it."""

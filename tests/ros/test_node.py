@@ -32,6 +32,7 @@ REPORTED = {
     "real-time factor", "step time p50 [ms]", "step time p99 [ms]", "overruns", "late steps", "iterations",
     "residual", "active rows", "max strain/limit", "penetration [mm]", "status", "command age [s]",
     "refused commands", "dropped records", "loop delay p99 [ms]", "stable stiffness at that delay [N/m]",
+    "contact area [mm^2]", "centre of pressure [mm]", "slipping contacts [%]",
 }  # fmt: skip
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -99,6 +100,9 @@ def test_diagnostics_hold_every_item(client):
     _, values = client.report()
     assert set(values) >= REPORTED
     assert values["command age [s]"] == "no command yet"
+    assert values["contact area [mm^2]"] == "0.000"
+    assert values["centre of pressure [mm]"] == "none"
+    assert values["slipping contacts [%]"] == "0.0"
 
 
 def test_the_first_command_places_the_finger(client):
@@ -126,6 +130,15 @@ def test_pressed_the_plane_pushes_up(client):
     fz = force(wrenches[-1])[2]
     assert torque.x == pytest.approx(0.005 * fz, rel=0.2)
     assert torque.y == pytest.approx(-0.010 * fz, rel=0.2)
+
+
+def test_diagnostics_tell_of_the_touch(client):
+    """Pressed, the whole bottom of 20 mm by 10 mm touches, and is pressed about its middle."""
+    _, values = client.report(lambda: client.command(-0.0003))
+    assert float(values["contact area [mm^2]"]) == pytest.approx(200.0, rel=0.05)
+    centre = [float(number) for number in values["centre of pressure [mm]"].split()]
+    assert centre == pytest.approx([10.0, 5.0, 0.0], abs=1.0)
+    assert 0.0 <= float(values["slipping contacts [%]"]) <= 100.0
 
 
 def test_a_stale_command_zeroes_device_wrench_and_holds_the_pose(client, node):
