@@ -38,7 +38,9 @@ DEPTHS = {"flat": (0.5e-3, 1e-3, 1.5e-3, 2e-3), "side": (0.5e-3, 1e-3), "tip": (
 FORCES = (1.0, 4.0)
 """Normal forces of a flat press at which area and tangential stiffness are taken [N]."""
 SHEAR = 2e-5
-"""Way of the bone along the finger that tangential stiffness is taken over [m]: hardly a node slips yet."""
+"""Way of the bone along the finger that tangential stiffness is taken over [m], there and back."""
+STICKY = 100.0
+"""Friction meanwhile: nodes at the rim would slip at once, and what is asked for is the stiffness before."""
 
 SETTING: dict[str, Any] = {
     "gravity": [0.0, 0.0, 0.0],
@@ -56,7 +58,7 @@ SETTING: dict[str, Any] = {
 """Of every press: long steps, which let motion die out at once."""
 CALM = {"limits.viscosity": 50.0}
 """Of limits: none of it is left at rest."""
-_PART = 2e-4  # of a press between two rests [m]; a quarter of it changes no force by more than 0.3 %
+_PART = 2e-4  # of a press between two rests [m]; half of it: flat 0.3 %, on the side 3 %
 _APART = 1e-5  # two rests tell a slope [m]
 _CALM_STEPS, _CHANGE = 4, 5e-5  # at rest in so many steps the force changes by no more than this part of itself
 _LONGEST, _STIRRED = 60, 2e-2  # after so many steps, by this in half of them: a few limits come and go
@@ -166,11 +168,15 @@ class Press:
 
     def tangential(self) -> float:
         """Tangential stiffness along the finger here [N/m]."""
+        plane = self.simulator.scene.plane
+        assert plane is not None
+        self.simulator.apply({"plane.friction": STICKY})
         ways = []
         for along in (SHEAR, -SHEAR):
             start = float(self._rest()[0])
             self._along += along
             ways.append((float(self._rest()[0]) - start) / -along)
+        self.simulator.apply({"plane.friction": plane.friction})
         return float(np.mean(ways))
 
     def area(self) -> float:
