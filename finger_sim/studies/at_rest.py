@@ -19,8 +19,7 @@ from ..bags.strokes import FLAT, SIDE
 from ..errors import FingerSimError
 from ..physics.rotations import Quaternion, matrix
 from ..scene import Pose, Scene
-from ..scene.mesh import TetMesh
-from ..scene.resources import shipped
+from ..scene.finger_shape import SKIN
 from ..simulation.simulator import Simulator
 from ..simulation.touch import Imprint
 
@@ -39,8 +38,10 @@ DEPTHS = {"flat": (0.5e-3, 1e-3, 1.5e-3, 2e-3), "side": (0.5e-3, 1e-3), "tip": (
 """How far the bone comes down [m]."""
 FORCES = (1.0, 4.0)
 """Normal forces of a flat press at which area and tangential stiffness are taken [N]."""
-SHEAR = 5e-6
-"""Way of the bone along the finger that tangential stiffness is taken over [m]: no node slips yet."""
+SHEAR = 2e-5
+"""Way of the bone along the finger that tangential stiffness is taken over [m], there and back."""
+STICKY = 100.0
+"""Friction meanwhile: nodes at the rim would slip at once, and what is asked for is the stiffness before."""
 
 SETTING: dict[str, Any] = {
     "gravity": [0.0, 0.0, 0.0],
@@ -50,17 +51,19 @@ SETTING: dict[str, Any] = {
     "solver.level": "standard",
     "solver.tolerance": 1e-6,
     "solver.max_iterations": 100,
-    "solver.relinearizations": 2,
+    "solver.relinearizations": 0,
+    "solver.settle": False,
     "solver.sleep": False,
     "coupling.type": "kinematic",
 }
 """Of every press: long steps, which let motion die out at once."""
 CALM = {"limits.viscosity": 50.0}
 """Of limits: none of it is left at rest."""
-_PART = 5e-5  # of a press between two rests [m]
-_CALM_STEPS, _CHANGE = 4, 1e-5  # at rest in so many steps the force changes by no more than this part of itself
+_PART = 2e-4  # of a press between two rests [m]; half of it: flat 0.3 %, on the side 3 %
+_APART = 1e-5  # two rests tell a slope [m]
+_CALM_STEPS, _CHANGE = 4, 5e-5  # at rest in so many steps the force changes by no more than this part of itself
 _LONGEST, _STIRRED = 60, 2e-2  # after so many steps, by this in half of them: a few limits come and go
-_FORCE = 2e-3  # part by which a force that is sought may be missed
+_FORCE, _TRIES = 2e-3, 20  # part by which a force that is sought may be missed, and how often it may be passed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,13 +100,19 @@ def answers(scene: Scene, orientations: tuple[str, ...] = ("flat", "side", "tip"
     Raises NotAtRestError when the finger does not come to rest, SceneError where the scene has no table.
     """
     scene = scene.with_values(SETTING | (CALM if scene.limits is not None else {}))
-    forces, tangential, area = {}, [], []
+    forces: dict[str, tuple[float, ...]] = {}
+    tangential: list[float] = []
+    area: list[float] = []
     for name in orientations:
-        press = Press(scene, ORIENTATIONS[name])
-        forces[name] = tuple(press.to(depth) for depth in DEPTHS[name])
-    if scene.limits is not None and "flat" in orientations:
-        press = Press(scene, FLAT)
-        for load in FORCES:
+        loads = list(FORCES) if name == "flat" and scene.limits is not None else []
+        press, forces[name] = Press(scene, ORIENTATIONS[name]), ()
+        for depth in DEPTHS[name]:
+            while loads and press.until(loads[0], depth):
+                loads.pop(0)
+                area.append(press.area())
+                tangential.append(press.tangential())
+            forces[name] += (press.to(depth),)
+        for load in loads:
             press.until(load)
             area.append(press.area())
             tangential.append(press.tangential())
@@ -118,7 +127,8 @@ class Press:
         self._orientation = orientation
         self._touch = touching(orientation)
         self._height = self._touch + 1e-4
-        self._along = 0.0
+        self._along = self._force = 0.0
+        self._before = (-math.inf, 0.0)  # depth and force of the rest before
         self.simulator.reset(self._pose())
 
     @property
@@ -128,36 +138,46 @@ class Press:
 
     def to(self, depth: float) -> float:
         """Goes there; the normal force at rest [N]."""
-        force = 0.0
-        parts = max(1, math.ceil(abs(depth - self.depth) / _PART - 1e-9))
-        for height in np.linspace(self._height, self._touch - depth, parts + 1)[1:]:
-            self._height = float(height)
-            force = float(self._rest()[2])
-        return force
+        start, way = self._height, self._touch - depth - self._height
+        parts = math.ceil(abs(way) / _PART - 1e-6)
+        for part in range(1, parts + 1):
+            if abs(self.depth - self._before[0]) >= _APART:
+                self._before = self.depth, self._force
+            self._height = start + way * part / parts
+            self._force = float(self._rest()[2])
+        return self._force
 
-    def until(self, load: float) -> None:
-        """Goes on until the normal force at rest is `load` [N]."""
-        depth, force = self.depth, 0.0
-        while force < load:
-            before, depth_before = force, depth
-            depth = self.depth + _PART
-            force = self.to(depth)
-        for _ in range(20):
-            if abs(force - load) <= _FORCE * load:
-                return
-            wanted = depth_before + (load - before) * (depth - depth_before) / (force - before)
-            if abs(force - load) < abs(before - load):
-                depth_before, before = depth, force
-            depth, force = wanted, self.to(wanted)
-        raise NotAtRestError(f"a press to {load} N: got {force:.6g} N at {1e3 * depth:.6g} mm")
+    def until(self, load: float, deepest: float = math.inf) -> bool:
+        """Goes on until the normal force at rest is `load` [N], or to a depth [m]; whether the load was reached."""
+        tries = 0
+        while abs(self._force - load) > _FORCE * load:
+            if self._force < load and self.depth >= deepest - 1e-9:
+                return False
+            tries += self._force > load
+            if tries > _TRIES:
+                raise NotAtRestError(f"a press to {load} N: got {self._force:.6g} N at {1e3 * self.depth:.6g} mm")
+            self.to(min(deepest, self.depth + self._way_to(load)))
+        return True
+
+    def _way_to(self, load: float) -> float:
+        """How much deeper the load should be [m], as force grows exponentially; _PART at most."""
+        depth, force = self._before
+        if force <= 0.0 or abs(self.depth - depth) < 0.1 * _APART:
+            return _PART
+        rate = math.log(self._force / force) / (self.depth - depth)
+        return float(np.clip(math.log(load / self._force) / rate, -_PART, _PART)) if rate > 0.0 else _PART
 
     def tangential(self) -> float:
         """Tangential stiffness along the finger here [N/m]."""
+        plane = self.simulator.scene.plane
+        assert plane is not None
+        self.simulator.apply({"plane.friction": STICKY})
         ways = []
         for along in (SHEAR, -SHEAR):
             start = float(self._rest()[0])
             self._along += along
             ways.append((float(self._rest()[0]) - start) / -along)
+        self.simulator.apply({"plane.friction": plane.friction})
         return float(np.mean(ways))
 
     def area(self) -> float:
@@ -189,6 +209,8 @@ def _spread(forces: Floats) -> float:
 
 
 def touching(orientation: Quaternion) -> float:
-    """Height of the finger frame at which the skin that is meant touches the table [m]: that of the finest mesh."""
-    points: Floats = TetMesh.load(shipped("config") / "meshes" / "finger_16000.vtu").points
-    return -float((points @ matrix(orientation).T)[:, 2].min())
+    """Height of the finger frame at which the skin that is meant touches the table [m]."""
+    along, across = np.meshgrid(np.linspace(-1.0, 1.0, 801), np.linspace(-1.0, 1.0, 401), indexing="ij")
+    half = 1e-3 * SKIN.grid(along, across).reshape(-1, 3)
+    down = matrix(orientation)[2]
+    return -float(min((half @ down).min(), (half @ (down * [1.0, 1.0, -1.0])).min()))

@@ -1,0 +1,88 @@
+"""How far a finger's answers are from those of the finger that is meant: the error that its mesh leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from ..scene import Scene
+from ..scene.calibration import scene_on
+from .at_rest import answers
+
+SCENE = "finger_haptic"
+"""Material, limits and table of the finger that is meant."""
+YOUNG = 1.4e4
+"""Young's modulus that CONVERGED is given at [Pa]; forces and stiffness are proportional to it."""
+
+
+class Converged(NamedTuple):
+    """An answer of the finger that is meant."""
+
+    value: float
+    error: float
+    """How far off it may be, a part of the value."""
+
+
+CONVERGED: dict[tuple[bool, float], dict[str, Converged]] = {
+    (True, 0.45): {
+        "flat 0.5 mm [N]": Converged(0.0633, 0.02),
+        "flat 1 mm [N]": Converged(0.3366, 0.03),
+        "flat 1.5 mm [N]": Converged(1.483, 0.01),
+        "flat 2 mm [N]": Converged(8.216, 0.02),
+        "side 0.5 mm [N]": Converged(1.388, 0.06),
+        "side 1 mm [N]": Converged(7.83, 0.04),
+        "tip 0.5 mm [N]": Converged(0.1846, 0.27),
+        "tip 1 mm [N]": Converged(1.957, 0.11),
+        "tangential 1 N [N/mm]": Converged(0.718, 0.08),
+        "tangential 4 N [N/mm]": Converged(5.01, 0.04),
+        "area 1 N [mm²]": Converged(107.0, 0.04),
+        "area 4 N [mm²]": Converged(127.5, 0.03),
+    },
+    (False, 0.45): {
+        "flat 0.5 mm [N]": Converged(0.0512, 0.02),
+        "flat 1 mm [N]": Converged(0.1806, 0.03),
+        "flat 1.5 mm [N]": Converged(0.4029, 0.04),
+        "flat 2 mm [N]": Converged(0.7342, 0.02),
+    },
+}
+"""(Whether strain is limited, ν) → the answers by name, see `Answers.values`.
+
+Flat forces with limits are those of 8,000 tetrahedra and all else of 4,000, area from both; each is as far off as the
+next coarser of the meshes of 2,000, 4,000 and 8,000 is from it. Presses on the tip
+and the side are not converged to 2 %.
+"""
+
+
+def unlimited(scene: Scene) -> Scene:
+    """The scene without limits."""
+    return Scene.from_dict({key: value for key, value in scene.to_dict().items() if key != "limits"})
+
+
+def finger_on(mesh: str, poisson: float = 0.45, *, limits: bool = True, calibrated: bool = True) -> Scene:
+    """The finger that is meant on a mesh, with patches: a shipped mesh by its name ("finger"), or a file.
+
+    calibrated: with the modulus of that mesh, see `scene.calibration`; else with YOUNG on every mesh.
+    Raises SceneError when there is no such mesh.
+    """
+    meant = Scene.load(SCENE)
+    scene = scene_on(meant.with_values({"mesh.file": "meshes/finger_16000.vtu", "material.young": YOUNG}), mesh)
+    values = {"material.volumetric": "patch", "material.poisson": poisson}
+    scene = scene.with_values(values if calibrated else values | {"material.young": YOUNG})
+    return scene if limits else unlimited(scene)
+
+
+def measured(scene: Scene) -> dict[str, float]:
+    """The answers of a scene's finger by name: of all presses, or, without limits, of the flat one.
+
+    Raises NotAtRestError when it does not come to rest.
+    """
+    return (answers(scene) if scene.limits is not None else answers(scene, ("flat",))).values()
+
+
+def errors(found: Mapping[str, float], scene: Scene) -> dict[str, float]:
+    """What is wrong in answers of a scene's finger, as parts of what CONVERGED has; of those that it has.
+
+    A scene's answers are judged by its limits and ν, whatever its modulus: that is what calibrates its mesh.
+    """
+    truth = CONVERGED.get((scene.limits is not None, scene.material.poisson), {})
+    return {name: value / truth[name].value - 1.0 for name, value in found.items() if name in truth}
