@@ -44,6 +44,8 @@ initial_pose: {position: [0, 0, 0.01]}
 dt: 0.005
 """
 """A block of 10 tetrahedra whose top is driven; at position z its bottom is z above the plane."""
+BLOCK_DT = 0.005
+"""Its step [s]."""
 
 
 def environment(domain: int) -> dict[str, str]:
@@ -226,6 +228,12 @@ def forces(bag: Path) -> tuple[Any, Any]:
         ]
     table = np.array(rows)
     return table[:, 0], table[:, 1:]
+
+
+def kept_pace(bag: Path) -> bool:
+    """Whether the loop skipped hardly a step: a busy machine's loop does, and is then behind its commands."""
+    times, _ = forces(bag)
+    return len(times) > 0.97 * (times[-1] - times[0]) / BLOCK_DT
 
 
 def beyond_replay(bag: Path, again: Path) -> tuple[Any, Any, Any]:

@@ -7,11 +7,12 @@ import math
 import numpy as np
 
 from ..arrays import Floats
+from ..errors import SceneError
 from ..haptics.coupling import LONGEST_GAP, between, displacement, follow
 from ..physics.contact import plane_frame
 from ..physics.model import State
 from ..physics.rotations import Quaternion, matrix, normalised
-from ..scene import Coupling, Plane, Pose, Vec3
+from ..scene import Coupling, Plane, Pose, Vec3, checked_pose
 
 Surface = tuple[Vec3, Vec3]
 """Unit outward normal and a point [m] of a plane, world."""
@@ -103,6 +104,13 @@ class Ground:
         """The plane has this pose, and no target yet: it goes to the first one as to any that comes after a pause."""
         self.pose = self._before = self._goal = pose
         self._since = LONGEST_GAP
+
+
+def checked_target(ground: Ground | None, target: Pose | None) -> Pose | None:
+    """A target with a unit quaternion; None where there is none. Raises SceneError, also where there is no plane."""
+    if target is not None and ground is None:
+        raise SceneError("plane", None, "a scene with a plane, to move it")
+    return None if target is None else checked_pose(target, "plane")
 
 
 def _surface(pose: Pose) -> Surface:

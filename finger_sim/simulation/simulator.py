@@ -26,7 +26,7 @@ from ..scene import Pose, Scene, Solver, Vec3, checked_pose, place
 from ..scene.mesh import TetMesh
 from .build import build_model, with_live_values
 from .drive import Drive, checked_time
-from .ground import Ground
+from .ground import Ground, checked_target
 from .guard import Guard, Verdict
 from .result import StepResult, measured
 from .rigid import Placed, best_fit, carried, twist_of
@@ -100,7 +100,7 @@ class Simulator:
         Raises SceneError when a pose is refused (see checked_pose), when the scene has no plane to move, or when a
         time is not finite; the state is then unchanged.
         """
-        plane, now = self._checked_plane(plane), checked_time(now, "now")
+        plane, now = checked_target(self._ground, plane), checked_time(now, "now")
         if command is not None:
             self._drive.hear(self._checked(command), None)
         scene, drive, ground = self.scene, self._drive, self._ground
@@ -140,12 +140,6 @@ class Simulator:
             self._good = checked_pose(command, "command")
             self._given = command
         return self._good
-
-    def _checked_plane(self, plane: Pose | None) -> Pose | None:
-        """A pose of the plane likewise; None where there is none."""
-        if plane is not None and self._ground is None:
-            raise SceneError("plane", None, "a scene with a plane, to move it")
-        return None if plane is None else checked_pose(plane, "plane")
 
     def _substep(self, part: float, shifts: bool) -> list[float]:
         """Advance by the substep that ends after a part of the step; State.result, with RESTORED in its status."""
@@ -205,7 +199,7 @@ class Simulator:
 
         Raises SceneError as `step` does; nothing has changed then.
         """
-        plane = self._checked_plane(plane)
+        plane = checked_target(self._ground, plane)
         pose = self._drive.command if pose is None else self._checked(pose)
         if self._ground is not None:
             self._ground.arrive(plane)
@@ -302,6 +296,11 @@ class Simulator:
     def plane_pose(self) -> Pose | None:
         """Where the plane is: the x-y plane of this pose, its z the outward normal, world; None without one."""
         return None if self._ground is None else self._ground.frame
+
+    @property
+    def plane_twist(self) -> Floats:
+        """(6,) velocity of that pose's origin [m/s] and angular velocity [rad/s], world; zeros without one."""
+        return np.zeros(6) if self._ground is None else self._ground.twist
 
     @property
     def node_mass(self) -> Floats:
