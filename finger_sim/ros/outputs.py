@@ -113,11 +113,12 @@ class Outputs:
     def start_recording(self, recorder: Recorder, plane: Pose | None, stamp: int) -> None:
         """Records from now on, beginning with what late listeners get too: the topology, and where the plane is.
 
+        Nothing of a step that has begun before is in it: it would come before the topology.
         plane : see Simulator.plane_pose
         stamp : the present time [ns]
         """
         frames = Frames(self.options.world_frame, self.options.finger_frame)
-        recorder.put(self._names["mesh_topology"], self.topology, time.monotonic_ns())
+        recorder.put(self._names["mesh_topology"], self.topology, recorder.began)
         standing = frames.standing(stamp, plane)
         if standing is not None:
             recorder.put(STANDING, standing, time.monotonic_ns())
@@ -132,9 +133,9 @@ class Outputs:
     def send(self, topic: str, data: bytes, at: int | None = None) -> None:
         """Publishes and records one message of CDR bytes; `at`: steady time that it is of [ns], the present if None."""
         self._publishers[topic].publish(data)
-        recorder = self.recorder
-        if recorder is not None and topic != "mesh_marker":
-            recorder.put(self._names[topic], data, time.monotonic_ns() if at is None else at)
+        recorder, at = self.recorder, time.monotonic_ns() if at is None else at
+        if recorder is not None and topic != "mesh_marker" and at >= recorder.began:
+            recorder.put(self._names[topic], data, at)
 
     def device(self, wrench: Floats, stamp: int, at: int) -> None:
         """Sends what a device is to render (6,) [N, N m]; `stamp` is its time, `at` the steady one [ns]."""

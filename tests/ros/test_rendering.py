@@ -104,3 +104,18 @@ def test_a_step_works_on_one_snapshot_of_the_options() -> None:
         node.tick(now, [node.newest])
         assert outputs.looks == before + 1
     assert outputs.mesh_messages > 0
+
+
+def test_a_recording_begins_with_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a step brings that began before the recording is not in it, however late it is sent."""
+    monkeypatch.setattr("finger_sim.ros.outputs._Broadcast.available", lambda: False)
+    kept: list[tuple[str, int]] = []
+    node = SimpleNamespace(
+        create_publisher=lambda kind, name, qos: SimpleNamespace(topic_name=name, publish=lambda data: None)
+    )
+    outputs = Outputs(node, NodeOptions())
+    recorder: Any = SimpleNamespace(began=1000, put=lambda topic, data, at: kept.append((topic, at)))
+    outputs.start_recording(recorder, None, 0)
+    for at in (999, 1001):
+        outputs.device(np.zeros(6), 0, at)
+    assert kept == [("mesh_topology", 1000), ("device_wrench", 1001)]
