@@ -2,7 +2,8 @@
 
 What a coarse mesh leaves wrong is nearly one factor of Young's modulus over all depths. Each mesh states that factor,
 the least-squares fit of the logarithm of the force of a flat press at 0.5, 1, 1.5 and 2 mm, at rest, with the limits of
-`finger_haptic`, ν 0.45 and patches. The finest mesh counts as converged; the paper's is not calibrated.
+`finger_haptic`, ν 0.45 and patches. What converged is, `studies.mesh_error` tells. Two factors are
+not measured: the finest mesh counts as the finger that is meant, and the paper's, which is another finger, keeps 1.
 """
 
 from __future__ import annotations

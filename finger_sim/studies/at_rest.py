@@ -106,16 +106,13 @@ def answers(scene: Scene, orientations: tuple[str, ...] = ("flat", "side", "tip"
     for name in orientations:
         loads = list(FORCES) if name == "flat" and scene.limits is not None else []
         press, forces[name] = Press(scene, ORIENTATIONS[name]), ()
-        for depth in DEPTHS[name]:
+        for depth in (*DEPTHS[name], math.inf):
             while loads and press.until(loads[0], depth):
                 loads.pop(0)
                 area.append(press.area())
                 tangential.append(press.tangential())
-            forces[name] += (press.to(depth),)
-        for load in loads:
-            press.until(load)
-            area.append(press.area())
-            tangential.append(press.tangential())
+            if depth < math.inf:
+                forces[name] += (press.to(depth),)
     return Answers(forces, tuple(tangential), tuple(area))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ..scene import Scene
 from ..scene.calibration import scene_on
@@ -53,11 +53,6 @@ and the side are not converged to 2 %.
 """
 
 
-def unlimited(scene: Scene) -> Scene:
-    """The scene without limits."""
-    return Scene.from_dict({key: value for key, value in scene.to_dict().items() if key != "limits"})
-
-
 def finger_on(mesh: str, poisson: float = 0.45, *, limits: bool = True, calibrated: bool = True) -> Scene:
     """The finger that is meant on a mesh, with patches: a shipped mesh by its name ("finger"), or a file.
 
@@ -66,9 +61,12 @@ def finger_on(mesh: str, poisson: float = 0.45, *, limits: bool = True, calibrat
     """
     meant = Scene.load(SCENE)
     scene = scene_on(meant.with_values({"mesh.file": "meshes/finger_16000.vtu", "material.young": YOUNG}), mesh)
-    values = {"material.volumetric": "patch", "material.poisson": poisson}
-    scene = scene.with_values(values if calibrated else values | {"material.young": YOUNG})
-    return scene if limits else unlimited(scene)
+    values: dict[str, Any] = {"material.volumetric": "patch", "material.poisson": poisson}
+    if not calibrated:
+        values["material.young"] = YOUNG
+    if not limits:
+        values["limits"] = None
+    return scene.with_values(values)
 
 
 def measured(scene: Scene) -> dict[str, float]:
