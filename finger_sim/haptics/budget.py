@@ -27,7 +27,7 @@ class Cut(NamedTuple):
 
     name: str
     tolerance: float  # at least
-    lagged: bool  # one stiffness matrix for four steps (`newton`)
+    lagged: bool  # steps share a stiffness matrix longer (`newton`)
     iterations: int  # at most
 
 

@@ -29,7 +29,6 @@ from .lanes import load4, splat4, store4
 from .model import Model, State
 from .vectors import cross
 
-PULLED, TWISTED, STOPPED = 1, 2, 4  # spring at its force limit, at its torque limit; bone at the plane: bits
 _STOP = 1e3  # stiffness of the stop, in units of the body's inertia within a step, and ten times the spring's at least
 
 
@@ -85,8 +84,8 @@ def aim_bone(model: Model, state: State, h: float, again: bool) -> None:
 
 
 @stage
-def bone_residual(model: Model, state: State, h: float, change: Floats, r: Floats) -> int:
-    """Gather the residual of the bone at `change` into slots nf + 1 and nf + 2 of r; which of PULLED … hold.
+def bone_residual(model: Model, state: State, h: float, change: Floats, r: Floats) -> None:
+    """Gather the residual of the bone at `change` into slots nf + 1 and nf + 2 of r.
 
     The driven nodes' slots of r become 0. The spring's wrench on the bone goes into state.coupling [N, N m], the stop's
     force into state.yielding.stop[8] [N].
@@ -102,7 +101,6 @@ def bone_residual(model: Model, state: State, h: float, change: Floats, r: Float
         store4(r, nf + 3 + d, 0, splat4(0.0))
     store4(r, nf + 1, 0, force)
     r[nf + 2, 0], r[nf + 2, 1], r[nf + 2, 2] = t0, t1, t2
-    holds = 0
     for part in range(2):
         gives, slot = h * spring[part, 0] + spring[part, 1], nf + 1 + part
         size = 0.0
@@ -114,7 +112,6 @@ def bone_residual(model: Model, state: State, h: float, change: Floats, r: Float
         share = 1.0
         if size > model.spring_limit[part]:
             share = model.spring_limit[part] / size
-            holds |= PULLED << part
         pulls[part, 3] = share
         for i in range(3):
             pulls[part, i] = coupling[3 * part + i] / size if share < 1.0 else 0.0
@@ -126,12 +123,10 @@ def bone_residual(model: Model, state: State, h: float, change: Floats, r: Float
         for i in range(3):
             gap += h * (stop[i] * change[nf + 1, i] + stop[3 + i] * change[nf + 2, i])
         if gap < 0.0:
-            holds |= STOPPED
             stop[8] = -stop[7] * gap
             for i in range(3):
                 r[nf + 1, i] += h * stop[8] * stop[i]
                 r[nf + 2, i] += h * stop[8] * stop[3 + i]
-    return holds
 
 
 @stage

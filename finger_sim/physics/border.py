@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 from ..arrays import Floats
-from .bone import STOPPED
 from .compile import stage
 from .lanes import Lanes, lane, load4, load8, splat4, splat8, store8
 from .linear_solver import solve, solve8
@@ -19,13 +18,12 @@ from .vectors import cross
 
 
 @stage
-def factor_bone(model: Model, state: State, h: float, contacts: int, rows: int, holds: int) -> bool:
-    """B, H_ff⁻¹ B and the Cholesky factor of S, for rows and `holds` as they are. False: S is not positive definite."""
+def factor_bone(model: Model, state: State, h: float, contacts: int, rows: int) -> bool:
+    """B, H_ff⁻¹ B and the Cholesky factor of S, for rows and stop as they are. False: S is not positive definite."""
     nf, bone, A = model.free.shape[0], state.yielding, state.A
     arms, S, B, Y, scratch = bone.arms, bone.S, bone.border, bone.border_solved, bone.scratch
     J, stiffness, row_slot = state.J, state.newton.stiffness, state.row_slot
     block_row, block_column = model.block_row, model.block_column
-    bone.holds[1] = holds
     S[:] = 0.0
     B[:] = 0.0
     scratch[:] = 0.0
@@ -90,7 +88,7 @@ def factor_bone(model: Model, state: State, h: float, contacts: int, rows: int, 
         for i in range(3):
             for j in range(3):
                 S[3 * part + i, 3 * part + j] += gives * ((1.0 if i == j else 0.0) - pulls[part, i] * pulls[part, j])
-    if holds & STOPPED:
+    if stop[8] > 0.0:
         add_square(S, stop, h * h * stop[7])
     for k in range(nf):
         for j in range(3):

@@ -23,13 +23,15 @@ from __future__ import annotations
 from .compile import formula, stage
 from .dilatation import patch_gradients, patch_pressures, patch_stiffness
 from .kinematics import edges_times
-from .lanes import add3, bits, gather3, load4, load8, scatter3, splat4, splat8, store4
-from .methods import TENSOR
+from .lanes import absolute, add3, bits, gather3, lane, load4, load8, maximum, scatter3, splat4, splat8, store4
+from .methods import NEWTON, TENSOR
 from .model import Model, State
 from .polar import load_matrix, transposed_times
-from .turning import add_turning
+from .turning import add_turning, resist_driven
 from .vectors import add, clear, subtract_product
 from .work import MATRICES
+
+_CHANGED = 0.3  # of the largest limit force of a tetrahedron, by which one may change while steps share A
 
 
 @stage
@@ -56,6 +58,8 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
             for i in range(3):
                 rhs[nf + 3 + d, i] = masses[n] * (v[n, i] + h * gravity[i])
     beta = model.damping_stiffness
+    if anew:
+        state.turning_force[:] = state.limit_force
     if model.patches.volume.shape[0] > 0:
         patch_pressures(model, state, beta if again else h + beta)
     stresses(model, state, h, beta if again else h + beta)
@@ -64,10 +68,12 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
     if anew:
         matrix(model, state, h)
         state.work[MATRICES] += 1
-        if model.hold > 1:
+        if model.method == NEWTON:
             state.turned[:] = state.quaternion
     if model.patches.volume.shape[0] > 0 and model.projection == TENSOR and model.limit_compliance > 0.0:
-        add_turning(model, state, h, anew)
+        if anew:
+            add_turning(model, state, h)
+        resist_driven(model, state)
     if again:
         w, product, part = state.slot_velocity, state.slot_product, h / (h + beta)
         slot_velocities(model, state)
@@ -103,12 +109,26 @@ def turning_limits(model: Model, state: State) -> bool:
 
 
 @stage
+def limits_changed(state: State) -> bool:
+    """Whether limit forces are so much other ones than A has that it is to be formed anew."""
+    now, then = state.limit_force, state.turning_force
+    largest, change = splat8(0.0), splat8(0.0)
+    for b in range(now.shape[0]):
+        p, q = load8(now, b, 0), load8(then, b, 0)
+        largest, change = maximum(largest, maximum(p, q)), maximum(change, absolute(p - q))
+    most = least = 0.0
+    for l in range(8):
+        most, least = max(most, lane(change, l)), max(least, lane(largest, l))
+    return most > _CHANGED * least
+
+
+@stage
 def stresses(model: Model, state: State, h: float, lead: float) -> None:
     """Add h f(x) to state.rhs, driven nodes going on for `lead` [s]; state.g = R r_n for `matrix`."""
     r, two_mu, lame_lambda = model.lane_gradients, 2.0 * model.lame_mu, model.lame_lambda
     rotations, strains, volumes, slots, nodes = state.R, state.E, model.lane_volume, model.lane_slot, model.lane_node
     driven, w, rhs, g = model.lane_driven, state.driven_velocity, state.rhs, state.g
-    limit_force, patched, pressures = state.limit_force, model.patches.volume.shape[0] > 0, state.pressure
+    limit_force, patched, pressures = state.turning_force, model.patches.volume.shape[0] > 0, state.pressure
     follows = turning_limits(model, state)
     for b in range(rotations.shape[0]):
         turns = False
@@ -186,7 +206,7 @@ def matrix(model: Model, state: State, h: float) -> None:
         patch_stiffness(model, state, weight)
     if not turning_limits(model, state):
         return
-    limit_force, dot = state.limit_force.reshape(-1), model.assembly_dot
+    limit_force, dot = state.turning_force.reshape(-1), model.assembly_dot
     for k in range(assembly.shape[0]):
         turning = viscosity * limit_force[assembly[k, 0]] * dot[k]
         for j in range(3):

@@ -9,16 +9,19 @@ from .dilatation import add_patch_rows
 from .lanes import Lanes, lane, load4, splat4, store4
 from .linear_solver import factor
 from .model import Model, State
-from .vectors import clear, copy_first
+from .vectors import clear
 from .work import FACTORISATIONS
+
+NONE, OF_A, OF_ANOTHER = range(3)  # factors at hand: none; of A as it is and no row; of another A, or with rows
 
 
 @stage
 def factor_elastic(model: Model, state: State) -> bool:
     """Factors of A alone. False if A is not positive definite."""
     load_elastic(model, state)
-    state.newton.factored_holds[0] = 0
-    return factor(model.pattern, state.L_diagonal, state.L_lower, state.L_inverse)
+    definite = factor(model.pattern, state.L_diagonal, state.L_lower, state.L_inverse)
+    state.newton.factors[0] = OF_A if definite else NONE
+    return definite
 
 
 @stage
@@ -38,7 +41,7 @@ def load_elastic(model: Model, state: State) -> None:
 
 
 @stage
-def refactor(model: Model, state: State, h: float, contacts: int, rows: int, holds: int) -> bool:
+def refactor(model: Model, state: State, h: float, contacts: int, rows: int) -> bool:
     """Factors of H at the rows that hold now (`stiffness`). False if H is not positive definite."""
     own, J, D, L, row_slot, row_tet = (
         state.newton, state.J, state.L_diagonal, state.L_lower, state.row_slot, state.row_tet
@@ -46,8 +49,6 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int, hol
     tet_place, pair_row, pair_column = model.tet_place, model.pair_row, model.pair_column
     stiffness, slip = own.stiffness, own.slip
     load_elastic(model, state)
-    copy_first(own.factored, stiffness, rows)
-    own.factored_holds[0] = holds
     for c in range(contacts // 3):
         row = 3 * c
         if stiffness[row] > 0.0:
@@ -80,7 +81,8 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int, hol
         add_patch_rows(model, state, D, L)
     definite = factor(model.pattern, D, L, state.L_inverse)
     if definite and model.has_bone:
-        definite = factor_bone(model, state, h, contacts, rows, state.yielding.holds[0])
+        definite = factor_bone(model, state, h, contacts, rows)
+    own.factors[0] = OF_ANOTHER if definite else NONE
     return definite
 
 

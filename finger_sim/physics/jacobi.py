@@ -16,7 +16,7 @@ Symmetric = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]  # 00 11 22 12 02 01
 Vector = tuple[Lanes, Lanes, Lanes]
 
 _SWEEPS = 12  # 3 to 5 in practice
-_ROUND_OFF = 1e-31  # off-diagonal part squared, of the diagonal's, that ends them: entries of 3e-16 are round-off
+_ROUND_OFF = 1e-24  # off-diagonal part squared, of the diagonal's, that ends them: eigenvectors are good to 1e-12
 _LEAST = 5e-324  # the least number above 0: in place of 0 below a fraction whose numerator is 0 too
 _ORTHOGONAL = 1e-15  # cosine of the angle between two columns that counts as 0
 

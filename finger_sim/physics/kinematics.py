@@ -15,8 +15,6 @@ from .polar import Matrix, polar, store_matrix
 from .work import DECOMPOSITIONS
 
 _SWEEPS = 30  # one-sided Jacobi converges quadratically: 3 to 6 in practice
-_TURN = 0.1  # angle that a tetrahedron may turn by while steps share A [rad]
-_COS_HALF_TURN_SQUARED = math.cos(0.5 * _TURN) ** 2
 
 
 @kernel
@@ -160,13 +158,13 @@ def kinematics(model: Model, state: State) -> None:
 
 
 @stage
-def turned_far(state: State) -> bool:
-    """Whether a tetrahedron has turned by more than _TURN since A was formed."""
+def turned_far(model: Model, state: State) -> bool:
+    """Whether a tetrahedron has turned so far since A was formed that it is to be formed anew."""
     now, then = state.quaternion, state.turned
     for b in range(now.shape[0]):
         along = load8(now, b, 0) * load8(then, b, 0) + load8(now, b, 1) * load8(then, b, 1)
         along = along + load8(now, b, 2) * load8(then, b, 2) + load8(now, b, 3) * load8(then, b, 3)
-        if bits(along * along < _COS_HALF_TURN_SQUARED) != 0:
+        if bits(along * along < model.turn) != 0:
             return True
     return False
 

@@ -2,7 +2,7 @@
 
 PGS, NEWTON = 0, 1
 METHODS = {"pgs": PGS, "newton": NEWTON}
-LEVELS = {"standard": 1, "lagged": 4}  # steps that share A, and its factors while as many rows hold
+LEVELS = {"standard": 0.0, "lagged": 0.02}  # angle that a tetrahedron may turn by while steps share A [rad]; 0: none do
 
 NONE, HYPERBOLIC, ISOTROPIC, TENSOR, ORTHOGONAL, LINEAR = range(6)
 PROJECTIONS = {

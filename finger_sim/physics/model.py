@@ -109,7 +109,7 @@ class Model(NamedTuple):
     max_iterations: int
     relinearizations: int
     settles: bool  # a step whose driven nodes stay is linearised twice
-    hold: int  # steps that share A
+    turn: float  # cos² of half the angle that a tetrahedron may turn by while steps share A; 1: none do
     deadline: float  # [s] after which a step begins no further iteration; 0: none
 
 
@@ -123,8 +123,7 @@ class Newton(NamedTuple):
     start_residual: Floats  # (slots, 4) b − A v at δ = 0, then what remains at δ
     next_residual: Floats  # (slots, 4) at the δ on trial
     stiffness: Floats  # (rows,) what each row adds to the Hessian [N/m]: 1 / compliance where it carries a force
-    factored: Floats  # (rows,) the same, as the factorisation in L has it
-    factored_holds: Ints  # (1,) signature of what held in the last factorisation: see newton.evaluate
+    factors: Ints  # (1,) what the factors in L are of: hessian.NONE …
     slip: Floats  # (contacts, 4) unit slip direction of a node's contact force (world), and μ; zeros: sticks
 
 
@@ -156,7 +155,6 @@ class Yielding(NamedTuple):
     stop: Floats  # (9,) gradient of the bone's gap to the plane, the gap [m], stiffness [N/m], force [N]
     reach: Floats  # (1,) [m/s] what the spring may add to the bone's speed in a step
     pulls: Floats  # (2, 4) spring at its limit: direction, share of its pull that is left; zeros and 1: not
-    holds: Ints  # (2,) which of PULLED, TWISTED, STOPPED hold, and held when factored
     S: Floats  # (6, 6) Cholesky factor of S
     border: Floats  # (nf, 3, 8) B, two lanes empty
     border_solved: Floats  # (nf, 3, 8) H_ff⁻¹ B
@@ -186,6 +184,10 @@ class Tensor(NamedTuple):
     eigen: Floats  # (near / 8, 12, 8) their eigenvalues and eigenvectors (by columns), lanes in the order of `near`
     gathered: Floats  # (32, 8) scratch: what eight of them are made of, side by side
     lane_J: Floats  # (8, 4, 4) scratch: a gradient of each of them
+    turning_count: Ints  # (1,) how many squares A has at driven nodes (turning.py), as w g gᵀ:
+    turning_tet: Ints  # (k,) whose
+    turning_weight: Floats  # (k,) w
+    turning_J: Floats  # (k, 4, 4) g
 
 
 class State(NamedTuple):
@@ -201,6 +203,7 @@ class State(NamedTuple):
     contact_force: Floats  # (n, 3) force of the plane on each node [N], world
     warm_limit: Floats  # (T, keys) `pgs`: last row forces by key, positive: stretch, negative: compression [N m]
     limit_force: Floats  # (B, 8) `tensor`: sum of the forces of a tetrahedron's limit rows in the last step [N m]
+    turning_force: Floats  # (B, 8) the same as A has it
     held_tets: Ints  # (1,) tetrahedra that limit rows held in the last step
 
     # What a step is told.

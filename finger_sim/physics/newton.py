@@ -11,10 +11,11 @@ couples the four nodes of its tetrahedron only, or of its patch, a contact one n
     H = A + h² Σ_{λ_i > 0} J_iᵀ J_i / ε_i + contacts
 
 has the pattern of A. It is kept symmetric; that friction grows with the normal force, μ t nᵀ / ε, is brought in by a
-few more solves with the same factors where nodes slip. A step is taken whole unless dᵀr says that it went too far: r is
+second solve with new factors where nodes slip. A step is taken whole unless dᵀr says that it went too far: r is
 minus the gradient of a convex merit function (but for friction), so that its zero along d is the least merit. What is
 kept is the iterate with the least force missing, so that a step that stops early is never worse than its start.
-Typically one factorisation a step: the rows that held before hold again.
+r itself is exact, but H is not formed and factored in every iteration, nor in every step: factors once made serve until
+they would need more iterations than new ones are worth. Most steps make none.
 """
 
 from __future__ import annotations
@@ -28,20 +29,16 @@ from .clock import FACTOR, SOLVE, lap, seconds
 from .compile import stage
 from .dilatation import add_patch_forces, patch_rates
 from .elasticity import slot_velocities
-from .hessian import factor_elastic, refactor
+from .hessian import NONE, OF_A, OF_ANOTHER, factor_elastic, refactor
 from .lanes import load4, splat4, store4, sum3
 from .model import Model, State
 from .vectors import add, clear, copy, copy_first, inner, subtract_product
 from .work import CORRECTIONS
 
-_CORRECTIONS = 1  # solves that bring friction's unsymmetric part in
 _SLACK = 0.5  # a line search ends where dᵀr is within so much of what it was to either side of 0
 _TRIALS = 12
 _STALLED, _PROGRESS = 20, 0.9  # so many iterations without that much progress end a step
-_WEAK = 0.3  # an iteration that leaves more of the residual than this asks for new factors: one costs as some solves
-OPEN, STICKS, SLIPS = 0.0, 1.0, 2.0
-_OTHER_MATRIX = -1  # in place of that number: the factors at hand, if any, are not of this A
-_STICKING, _SLIPPING, _BONE = 1 << 20, 1 << 40, 1 << 60  # places in the number that counts what holds
+_WORTH = 5  # iterations that old factors may still need: new ones cost about as much
 
 
 @stage
@@ -50,51 +47,49 @@ def newton(
 ) -> tuple[int, float, bool]:
     """Velocities of the free nodes into state.v, row forces into state.lam[:rows]. (iterations, residual, definite).
 
-    anew: A was formed anew. Where it was not, and as many rows hold as when it was factored, its factors serve again.
+    anew: A was formed anew. Factors of another A, and of other rows, serve as long as the residual falls fast enough.
 
     The residual is the largest force missing at any node [N], relative to the largest row force.
     """
     began = seconds(state.time) if model.deadline > 0.0 else 0.0
     own, lam, best = state.newton, state.lam, state.best
-    change, tried, direction, best_change = own.change, own.tried, own.direction, own.best_change
-    if anew:
-        own.factored_holds[0] = _OTHER_MATRIX
+    change, tried, direction, best_change, factors = own.change, own.tried, own.direction, own.best_change, own.factors
+    if anew and factors[0] == OF_A:
+        factors[0] = OF_ANOTHER
     remainder(model, state)
     if rows == 0 and not model.has_bone:
         copy(direction, own.start_residual)
         lap(state.laps, state.time, SOLVE)
-        definite = own.factored_holds[0] == 0 or factor_elastic(model, state)
+        definite = factors[0] == OF_A or factor_elastic(model, state)
         lap(state.laps, state.time, FACTOR)
         solve_all(model, state, direction)
         add_to_velocities(model, state, direction)
         return 0, 0.0, definite
     clear(change)
     copy(own.next_residual, own.start_residual)
-    residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, change)
+    residual, missing = evaluate(model, state, h, contacts, rows, change)
     if not missing < math.inf:
         return 0, residual, False
-    stale = holds != own.factored_holds[0]
-    changed = False
-    copy_first(own.factored, own.stiffness, rows)
+    stale = factors[0] == NONE or model.max_iterations <= _WORTH  # of few, none is spent on old factors
     least, least_missing, iterations, stalled = residual, missing, 0, 0
     clear(best_change)
     copy_first(best, lam, rows)
     while residual > tolerance and iterations < model.max_iterations:
         if model.deadline > 0.0 and iterations > 0 and seconds(state.time) - began > model.deadline:
             break
-        if changed or stale:
+        if stale:
             lap(state.laps, state.time, SOLVE)
-            definite = refactor(model, state, h, contacts, rows, holds)
+            definite = refactor(model, state, h, contacts, rows)
             lap(state.laps, state.time, FACTOR)
             if not definite:
                 return iterations, residual, False
         before = residual
-        ascent = newton_direction(model, state, h, contacts)
+        ascent = newton_direction(model, state, h, contacts, stale)
         part, low, high, low_ahead, high_ahead = 1.0, 0.0, 1.0, ascent, -ascent
         for trial in range(_TRIALS):
             add(tried, change, direction, part)
             remainder_at(model, state, tried)
-            residual, missing, holds, changed = evaluate(model, state, h, contacts, rows, tried)
+            residual, missing = evaluate(model, state, h, contacts, rows, tried)
             ahead = inner(direction, own.next_residual)
             if (ahead >= -_SLACK * ascent and (ahead <= _SLACK * ascent or trial == 0)) or residual <= tolerance:
                 break
@@ -113,7 +108,7 @@ def newton(
             copy_first(best, lam, rows)
         if stalled >= _STALLED or not missing < math.inf:
             break
-        stale = residual > _WEAK * before
+        stale = residual >= before or math.log(tolerance / residual) < _WORTH * math.log(residual / before)
     copy_first(lam, best, rows)
     if model.has_bone:
         bone_residual(model, state, h, best_change, own.next_residual)
@@ -122,14 +117,14 @@ def newton(
 
 
 @stage
-def newton_direction(model: Model, state: State, h: float, contacts: int) -> float:
-    """H⁻¹ r into `direction`, friction's unsymmetric part included; returns dᵀr."""
+def newton_direction(model: Model, state: State, h: float, contacts: int, corrects: bool) -> float:
+    """H⁻¹ r into `direction`; returns dᵀr. corrects: with friction's unsymmetric part: old factors are too rough."""
     own, J, row_slot = state.newton, state.J, state.row_slot
     direction, other, r, slip, stiffness = own.direction, own.tried, own.next_residual, own.slip, own.stiffness
     copy(direction, r)
     solve_all(model, state, direction)
     ascent = inner(direction, r)
-    for _ in range(_CORRECTIONS):
+    if corrects:
         slips = False
         copy(other, r)
         for c in range(contacts // 3):
@@ -139,15 +134,13 @@ def newton_direction(model: Model, state: State, h: float, contacts: int) -> flo
                 pressed = sum3(load4(J, 3 * c, 0) * load4(direction, slot, 0))
                 push = h * h * slip[c, 3] * stiffness[3 * c] * pressed
                 store4(other, slot, 0, load4(other, slot, 0) - load4(slip, c, 0) * push)
-        if not slips:
-            break
-        state.work[CORRECTIONS] += 1
-        solve_all(model, state, other)
-        along = inner(other, r)
-        if not along > 0.0:
-            break
-        copy(direction, other)
-        ascent = along
+        if slips:
+            state.work[CORRECTIONS] += 1
+            solve_all(model, state, other)
+            along = inner(other, r)
+            if along > 0.0:
+                copy(direction, other)
+                ascent = along
     return ascent
 
 
@@ -169,26 +162,17 @@ def remainder_at(model: Model, state: State, change: Floats) -> None:
 
 
 @stage
-def evaluate(
-    model: Model, state: State, h: float, contacts: int, rows: int, change: Floats
-) -> tuple[float, float, int, bool]:
+def evaluate(model: Model, state: State, h: float, contacts: int, rows: int, change: Floats) -> tuple[float, float]:
     """Add the rows' forces at δ = `change` to next_residual, which holds b − A (v + δ); their part of the Hessian.
 
-    Returns the residual; the largest force missing [N]; how many limits hold and contacts stick and slip, as one
-    number; and whether these are other ones than in the factors at hand.
+    Returns the residual, and the largest force missing [N].
     """
     r, nf = state.newton.next_residual, model.free.shape[0]
-    pressed, touching, changed = contact_forces(model, state, h, contacts, change)
-    strongest, held, others = limit_forces(model, state, h, contacts, rows, change)
-    largest = max(pressed, strongest)
-    held += touching
-    changed |= others
+    pressed = contact_forces(model, state, h, contacts, change)
+    largest = max(pressed, limit_forces(model, state, h, contacts, rows, change))
     store4(r, nf, 0, splat4(0.0))
     if model.has_bone:
-        bone = bone_residual(model, state, h, change, r)
-        changed |= bone != state.yielding.holds[1]
-        state.yielding.holds[0] = bone
-        held += bone * _BONE
+        bone_residual(model, state, h, change, r)
     worst = total = 0.0
     for k in range(r.shape[0]):
         force = load4(r, k, 0)
@@ -198,18 +182,18 @@ def evaluate(
         worst = max(worst, size)
         total += size
     if not total < math.inf:  # max() passes over what is not a number
-        return math.inf, math.inf, held, changed
+        return math.inf, math.inf
     missing = math.sqrt(worst) / h
-    return missing / max(largest, model.least_force), missing, held, changed
+    return missing / max(largest, model.least_force), missing
 
 
 @stage
-def contact_forces(model: Model, state: State, h: float, contacts: int, change: Floats) -> tuple[float, int, bool]:
-    """The part of contacts in `evaluate`, with slip directions. (largest normal force, what holds, whether it did)."""
+def contact_forces(model: Model, state: State, h: float, contacts: int, change: Floats) -> float:
+    """The part of contacts in `evaluate`, with slip directions; the largest normal force."""
     own, J, lam, row_slot = state.newton, state.J, state.lam, state.row_slot
-    r, stiffness, factored, slip = own.next_residual, own.stiffness, own.factored, own.slip
+    r, stiffness, slip = own.next_residual, own.stiffness, own.slip
     constant, compliance, mu_friction = state.constant, state.compliance, model.mu_friction
-    largest, held, changed = 0.0, 0, False
+    largest = 0.0
     for c in range(contacts // 3):
         row = 3 * c
         slot = row_slot[row, 0]
@@ -217,16 +201,13 @@ def contact_forces(model: Model, state: State, h: float, contacts: int, change: 
         n, t1, t2 = load4(J, row, 0), load4(J, row + 1, 0), load4(J, row + 2, 0)
         normal = -(constant[row] + h * sum3(n * d)) / compliance[row]
         slip[c] = 0.0
-        holds = OPEN
         if normal > 0.0:
             a = -(constant[row + 1] + h * sum3(t1 * d)) / compliance[row + 1]
             b = -(constant[row + 2] + h * sum3(t2 * d)) / compliance[row + 2]
             size, cone = math.sqrt(a * a + b * b), mu_friction * normal
-            holds, share = STICKS, 1.0
-            held += _STICKING
+            share = 1.0
             if size > cone:
-                holds, share = SLIPS, cone / size
-                held += _SLIPPING
+                share = cone / size
                 store4(slip, c, 0, t1 * (a / size) + t2 * (b / size))
                 slip[c, 3] = mu_friction
             lam[row], lam[row + 1], lam[row + 2] = normal, a * share, b * share
@@ -236,20 +217,16 @@ def contact_forces(model: Model, state: State, h: float, contacts: int, change: 
             largest = max(largest, normal)
         else:
             lam[row] = lam[row + 1] = lam[row + 2] = stiffness[row] = stiffness[row + 1] = 0.0
-        stiffness[row + 2] = holds
-        changed |= holds != factored[row + 2]
-    return largest, held, changed
+    return largest
 
 
 @stage
-def limit_forces(
-    model: Model, state: State, h: float, contacts: int, rows: int, change: Floats
-) -> tuple[float, int, bool]:
-    """The part of limits in `evaluate`. (largest nodal force, how many hold, whether others did)."""
+def limit_forces(model: Model, state: State, h: float, contacts: int, rows: int, change: Floats) -> float:
+    """The part of limits in `evaluate`; the largest nodal force."""
     own, J, lam, row_slot, scale = state.newton, state.J, state.lam, state.row_slot, state.scale
-    r, stiffness, factored = own.next_residual, own.stiffness, own.factored
+    r, stiffness = own.next_residual, own.stiffness
     constant, compliance = state.constant, state.compliance
-    largest, held, changed = 0.0, 0, False
+    largest, held = 0.0, 0
     own_patches, row_tet, row_part = model.patches, state.row_tet, state.row_part
     patched, patches, rates, sums = (
         own_patches.volume.shape[0] > 0,
@@ -284,10 +261,9 @@ def limit_forces(
             store4(r, s3, 0, load4(r, s3, 0) + j3 * force)
         else:
             lam[row] = stiffness[row] = 0.0
-        changed |= (stiffness[row] > 0.0) != (factored[row] > 0.0)
     if patched and held > 0:
         add_patch_forces(model, state, h, r)
-    return largest, held, changed
+    return largest
 
 
 @stage

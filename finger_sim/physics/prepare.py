@@ -92,7 +92,7 @@ class Live(NamedTuple):
     tolerance: float
     max_iterations: int
     settles: bool
-    hold: int
+    turn: float
     deadline: float
 
 

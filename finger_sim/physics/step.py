@@ -11,7 +11,7 @@ from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
 from .dilatation import share_out
-from .elasticity import assemble
+from .elasticity import assemble, limits_changed
 from .hessian import factor_elastic
 from .kinematics import kinematics, turned_far
 from .lanes import load4, splat8, store4, store8, sum3
@@ -88,14 +88,14 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
     state.result[:] = 0.0
     lap(state.laps, state.time, OUTPUT)
     moved = drive(model, state, targets, h)
-    if model.hold > 1 and state.age[0] > 0 and turned_far(state):
-        state.age[0] = 0
     wanted, tolerance = model.relinearizations, model.tolerance
     state.held[0] = 0.0 if moved else state.held[0] + h
     if model.settles and state.held[0] > _HELD and model.method == NEWTON:
         tolerance *= _SETTLED
         if state.held_tets[0] > 0 and state.motion[0] * h < _SLOW * model.length:
             wanted = max(wanted, 1)
+    if model.turn == 1.0 or model.method == PGS or wanted > 0 or turned_far(model, state) or limits_changed(state):
+        state.age[0] = 0
     if wanted > 0:
         copy(state.v_start, state.v)
     for again in range(wanted + 1):
@@ -108,6 +108,7 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
     if again > 0:
         copy(state.x, state.x_start)
     if not well:
+        state.age[0] = 0
         state.result[STATUS] = _REJECTED
         return
     fastest = integrate(model, state, targets, h)  # x += h v
@@ -115,7 +116,7 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
         state.bone[:7] = state.bone[7:]
     kinematics(model, state)
     lap(state.laps, state.time, KINEMATICS)
-    state.age[0] = (state.age[0] + 1) % model.hold
+    state.age[0] += 1
     if model.projection != NONE:
         find_bounded(model, state)
     lap(state.laps, state.time, ROWS)
@@ -129,7 +130,7 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
     """Velocities of a step that is linearised at state.x: (contact rows, all rows, whether A is positive definite).
 
     again: 0 where x is the step's start, else x and state.v_base are what linearisation number `again` gave before.
-    A is formed anew where state.age is 0: always, but at the level `lagged`.
+    A is formed anew where state.age is 0: where it has changed by little since it was formed, steps share it.
     """
     work = state.work
     work[LINEAR] += 1

@@ -30,11 +30,12 @@ _PASSED = 0.95  # strain/limit from which on one counts as passed: it may be so 
 
 
 @stage
-def add_turning(model: Model, state: State, h: float, anew: bool) -> None:
-    """Add what limits at state.x resist turning with to A (if `anew`), and what driven nodes do of it to state.rhs."""
+def add_turning(model: Model, state: State, h: float) -> None:
+    """Add what limits at state.x resist turning with to A."""
     tensor, volume = state.tensor, model.volume
     count, pairs, lane_J, near_list = tensor.near_count[0], tensor.eigen, tensor.lane_J, tensor.near
     whole = tensor.gathered.reshape((1, -1))
+    tensor.turning_count[0] = 0
     stiffness = h * h / model.limit_compliance
     for group in range((count + 7) // 8):
         gathered = False
@@ -55,7 +56,7 @@ def add_turning(model: Model, state: State, h: float, anew: bool) -> None:
             for l in range(min(8, count - 8 * group)):
                 if (found >> l) & 1:
                     t = near_list[8 * group + l] // 2
-                    add_square(model, state, t, l, stiffness * volume[t] * lane(weight, l), anew)
+                    add_square(model, state, t, l, stiffness * volume[t] * lane(weight, l))
 
 
 @formula
@@ -103,22 +104,35 @@ def _slope(whole: Floats, a: Vector, b: Vector) -> tuple[Lanes, ...]:
 
 
 @stage
-def add_square(model: Model, state: State, t: int, l: int, weight: float, anew: bool) -> None:
-    """Add weight · g gᵀ of tetrahedron t, whose g is in lane l of lane_J."""
-    A, rhs, g, nf = state.A, state.rhs, state.tensor.lane_J, model.free.shape[0]
-    if anew:
-        for e in range(10):
-            block = model.tet_block[t, e]
-            if block >= 0:
-                row, column = model.pair_row[t, e], model.pair_column[t, e]
-                a = load4(g, l, row) * weight
-                for c in range(3):
-                    store4(A, block, c, load4(A, block, c) + a * g[l, column, c])
+def add_square(model: Model, state: State, t: int, l: int, weight: float) -> None:
+    """Add weight · g gᵀ of tetrahedron t, whose g is in lane l of lane_J, to A, and keep it for `resist_driven`."""
+    A, tensor, g = state.A, state.tensor, state.tensor.lane_J
+    for e in range(10):
+        block = model.tet_block[t, e]
+        if block >= 0:
+            row, column = model.pair_row[t, e], model.pair_column[t, e]
+            a = load4(g, l, row) * weight
+            for c in range(3):
+                store4(A, block, c, load4(A, block, c) + a * g[l, column, c])
     if model.tet_moves[t] < 4 and not model.has_bone:
-        rate = 0.0
+        k = tensor.turning_count[0]
+        tensor.turning_tet[k], tensor.turning_weight[k] = t, weight
         for n in range(4):
-            rate += sum3(load4(g, l, n) * load4(state.driven_velocity, model.tets[t, n], 0))
+            store4(tensor.turning_J, k, n, load4(g, l, n))
+        tensor.turning_count[0] = k + 1
+
+
+@stage
+def resist_driven(model: Model, state: State) -> None:
+    """What driven nodes do of what A resists turning with, to state.rhs."""
+    tensor, rhs, nf = state.tensor, state.rhs, model.free.shape[0]
+    g = tensor.turning_J
+    for k in range(tensor.turning_count[0]):
+        t, rate = tensor.turning_tet[k], 0.0
+        for n in range(4):
+            rate += sum3(load4(g, k, n) * load4(state.driven_velocity, model.tets[t, n], 0))
+        push = tensor.turning_weight[k] * rate
         for n in range(4):
             slot = model.tet_slot[t, n]
             if slot < nf:
-                store4(rhs, slot, 0, load4(rhs, slot, 0) - load4(g, l, n) * (weight * rate))
+                store4(rhs, slot, 0, load4(rhs, slot, 0) - load4(g, k, n) * push)

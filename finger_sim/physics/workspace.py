@@ -30,6 +30,7 @@ class _Sizes(NamedTuple):
     tensor: int  # batches under the `tensor` limit
     patches: int
     limited_patches: int  # the same, where limits act on them
+    turning: int  # squares at driven nodes that A may have where limits turn: three a side of each tetrahedron there
     pgs: bool
 
 
@@ -44,7 +45,8 @@ def _sizes(model: Model, nodes: int) -> _Sizes:
         rows = min(MAX_ROWS, rows)
     return _Sizes(
         count, nodes, len(model.free), len(model.mobility), batches, contacts, rows, spectral,
-        batches if tensor else 0, patches, patches if spectral or tensor else 0, pgs,
+        batches if tensor else 0, patches, patches if spectral or tensor else 0,
+        6 * int(np.count_nonzero(model.tet_moves < 4)) if tensor and patches else 0, pgs,
     )  # fmt: skip
 
 
@@ -80,6 +82,7 @@ def _body(model: Model, size: _Sizes, positions: Floats) -> dict[str, Any]:
         "contact_force": np.zeros((size.nodes, 3)),
         "warm_limit": np.zeros((size.tets if limited else 0, keys)),
         "limit_force": aligned(size.tensor, LANES),
+        "turning_force": aligned(size.tensor, LANES),
         "held_tets": np.zeros(1, np.int64),
         "active_rows": np.zeros(size.tets if limited else 0, np.int64),
     }
@@ -172,8 +175,7 @@ def _newton(size: _Sizes) -> Newton:
         start_residual=aligned(slots, 4),
         next_residual=aligned(slots, 4),
         stiffness=np.zeros(rows),
-        factored=np.zeros(rows),
-        factored_holds=np.zeros(1, np.int64),
+        factors=np.zeros(1, np.int64),
         slip=aligned(contacts, 4),
     )
 
@@ -211,7 +213,6 @@ def _yielding(model: Model) -> Yielding:
         stop=np.zeros(9),
         reach=np.zeros(1),
         pulls=np.zeros((2, 4)),
-        holds=np.zeros(2, np.int64),
         S=np.zeros((6, 6)),
         border=aligned(free, 3, LANES),
         border_solved=aligned(free, 3, LANES),
@@ -244,4 +245,8 @@ def _tensor(size: _Sizes) -> Tensor:
         eigen=aligned(near // LANES, 12, LANES),
         gathered=aligned(32, LANES),
         lane_J=aligned(LANES, 4, 4),
+        turning_count=np.zeros(1, np.int64),
+        turning_tet=np.zeros(size.turning, np.int64),
+        turning_weight=np.zeros(size.turning),
+        turning_J=aligned(size.turning, 4, 4),
     )

@@ -208,7 +208,7 @@ class Solver:
     )
     level: Literal["standard", "lagged"] = field(
         "choice",
-        "standard: all linearised every step; lagged: one stiffness matrix for 4 steps (newton only)",
+        "standard: all linearised every step; lagged: newton shares a matrix until a tetrahedron has turned 0.02 rad",
         default="standard",
         choices=("standard", "lagged"),
         live=True,

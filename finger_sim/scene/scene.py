@@ -57,8 +57,6 @@ class Scene:
     initial_pose: Pose = field("part", "Where the body rests before the first command", default=Pose(), part=Pose)
 
     def check(self, prefix: str) -> None:
-        if self.solver.level == "lagged" and (self.solver.method == "pgs" or self.solver.relinearizations > 0):
-            raise SceneError(f"{prefix}solver.level", "lagged", "standard, unless newton with relinearizations 0")
         if self.coupling.type == "virtual" and self.solver.method != "newton":
             raise SceneError(f"{prefix}coupling.type", "virtual", "kinematic, unless solver.method is newton")
         if self.solver.method == "newton":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..physics.methods import LEVELS, METHODS, PROJECTIONS
@@ -56,7 +58,7 @@ def _live(scene: Scene, length: float) -> Live:
         spring_limit=np.array([coupling.force_limit, coupling.torque_limit]),
         tolerance=solver.tolerance,
         max_iterations=solver.max_iterations,
-        settles=solver.settle and solver.level == "standard",
-        hold=LEVELS[solver.level],
+        settles=solver.settle,
+        turn=math.cos(0.5 * LEVELS[solver.level]) ** 2,
         deadline=solver.deadline or 0.0,
     )

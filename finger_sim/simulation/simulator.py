@@ -237,7 +237,7 @@ class Simulator:
         if self._ground is not None:
             self._ground.write(state)
         self._guard.wake()
-        state.age[0] = state.held_tets[0] = 0
+        state.age[0] = state.held_tets[0] = state.newton.factors[0] = 0
         refresh(self._ready)
 
     def apply(self, values: Mapping[str, Any]) -> None:

@@ -64,7 +64,7 @@ def test_a_plane_that_rises_presses_as_a_finger_that_sinks() -> None:
 
 def test_in_each_substep_the_plane_is_where_it_is_then() -> None:
     """Four substeps to a target are four steps to the targets on the way there, rising, sliding and turning."""
-    awake = {"solver__settle": False, "solver__sleep": False, "dt": 1e-3}
+    awake = {"solver__settle": False, "solver__sleep": False, "solver__tolerance": 1e-8, "dt": 1e-3}
     coarse, fine = finger(**awake, substeps=4), finger(**awake, substeps=4)
     steps = Simulator(fine.scene.with_values({"substeps": 1, "dt": 2.5e-4}))
     steps.reset(fine.pose)

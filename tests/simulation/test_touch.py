@@ -117,7 +117,7 @@ def test_what_rests_at_the_cone_does_not_slip(method: str) -> None:
         (2, 2, 1),
         young=1e6,
         damping=(0.0, 0.01),
-        gravity=[3.6, 0.0, -9.1],
+        gravity=[4.2, 0.0, -9.1],
         plane={"point": [0, 0, 0], "friction": 0.5},
         solver={"method": method, "tolerance": 1e-5, "max_iterations": 5000},
     )
