@@ -8,7 +8,7 @@ import sys
 from finger_sim.plain import printing
 from finger_sim.studies.mesh_error import CONVERGED, errors, finger_on, measured
 
-MESHES = ("finger_500", "finger", "finger_2000", "finger_4000")
+MESHES = ("finger", "finger_500", "finger_2000", "finger_4000", "finger_distal")
 
 
 def main() -> None:

@@ -1,4 +1,7 @@
-"""Force against depth of a flat press at rest, for the scene's pulp modulus and others; and a picture of it."""
+"""Force against depth of a flat press at rest: the scene's, without limits, and what it converges to; and a picture.
+
+Stiffness of a human fingertip is linear in force, k = b + m F (Pawluk & Howe 1999): the fit says how nearly this is.
+"""
 
 from __future__ import annotations
 
@@ -8,82 +11,82 @@ from pathlib import Path
 
 import numpy as np
 
-from finger_sim import Pose, Scene, Simulator
-from finger_sim.physics.rotations import matrix
+from finger_sim import Scene
 from finger_sim.plain import printing
+from finger_sim.scene.calibration import modulus
+from finger_sim.studies.at_rest import CALM, DEPTHS, ORIENTATIONS, SETTING, Press
+from finger_sim.studies.mesh_error import CONVERGED, YOUNG
 
-DEPTHS = np.arange(0.25, 2.51, 0.25) * 1e-3
-SPEED = 0.02
-SETTLE = 0.1
-MODULI = (1.0e4, 1.4e4, 2.5e4)
+STEP, DEEPEST = 5e-5, 2.6e-3  # [m]
+FITTED = (0.2, 5.0)  # [N]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scene", default="finger")
+    parser.add_argument("--scene", default="finger_haptic")
     parser.add_argument("--out", type=Path, default=Path("config/pictures/finger_press.png"))
     args = parser.parse_args()
     scene = Scene.load(args.scene)
-    curves = {young: press(scene.with_values({"material.young": young})) for young in MODULI}
-    free = {"limits.stretch": [None] * 3, "limits.compress": [None] * 3}
-    without = press(scene.with_values(free))
-    print(f"{'depth mm':>9}" + "".join(f"{f'{young / 1e3:g} kPa':>9}" for young in MODULI) + f"{'no limits':>11}   [N]")
-    for k, depth in enumerate(DEPTHS):
-        print(
-            f"{depth * 1e3:>9.2f}" + "".join(f"{curve[k]:>9.3f}" for curve in curves.values()) + f"{without[k]:>11.3f}"
-        )
-    force = curves[scene.material.young]
-    slope = np.gradient(force, DEPTHS)
-    at = np.interp([0.2, 1.5, 5.0], force, slope)
-    print(f"tangent stiffness at 0.2, 1.5, 5 N: {at[0]:.0f}, {at[1]:.0f}, {at[2]:.0f} N/m")
-    print(f"1 N at {np.interp(1.0, force, DEPTHS) * 1e3:.2f} mm")
-    draw(curves, without, scene, args.out)
+    depth = np.arange(1, round(DEEPEST / STEP) + 1) * STEP
+    force, without = (press(each, depth) for each in (scene, scene.with_values({"limits": None})))
+    meant = converged(scene)
+    print(f"{'depth mm':>9}{'force N':>10}{'no limits':>11}{'converged':>11}")
+    for at in np.arange(0.25e-3, DEEPEST, 0.25e-3):
+        told = [float(np.interp(at, depth, curve)) for curve in (force, without)]
+        known = [value for place, value in zip(DEPTHS["flat"], meant, strict=True) if abs(place - at) < 1e-9]
+        print(f"{1e3 * at:>9.2f}{told[0]:>10.3f}{told[1]:>11.3f}" + "".join(f"{value:>11.3f}" for value in known))
+    b, m, R2 = fitted(depth, force)
+    print(f"k = {1e-3 * b:.3f} N/mm + {1e-3 * m:.2f}/mm F over {FITTED[0]:g} to {FITTED[1]:g} N, R² = {R2:.3f}")
+    print(f"1 N at {1e3 * np.interp(1.0, force, depth):.2f} mm")
+    draw(depth, force, without, meant, args.out)
     print(args.out)
 
 
-def press(scene: Scene) -> np.ndarray:
-    """Normal force [N] at rest at each of DEPTHS, pressed one after the other."""
-    simulator = Simulator(scene)
-    orientation = scene.initial_pose.orientation
-    touch = -float((simulator.mesh.points @ matrix(orientation).T)[:, 2].min())
-    height = touch + 2e-4
-    simulator.reset(Pose((0.0, 0.0, height), orientation))
-    forces = []
-    for depth in DEPTHS:
-        while height > touch - depth:
-            height = max(height - SPEED * scene.dt, touch - depth)
-            simulator.step(Pose((0.0, 0.0, height), orientation))
-        settled = [simulator.step().contact_wrench[2] for _ in range(round(SETTLE / scene.dt))]
-        forces.append(np.mean(settled[len(settled) // 2 :]))
-    return np.array(forces)
+def press(scene: Scene, depth: np.ndarray) -> np.ndarray:
+    """Normal force at rest [N] at each depth, pressed one after the other."""
+    finger = Press(scene.with_values(SETTING | (CALM if scene.limits is not None else {})), ORIENTATIONS["flat"])
+    return np.array([finger.to(float(at)) for at in depth])
 
 
-def draw(curves: dict[float, np.ndarray], without: np.ndarray, scene: Scene, out: Path) -> None:
-    """The curves as a picture."""
+def converged(scene: Scene) -> list[float]:
+    """What the finger that is meant gives with the scene's tissue at DEPTHS [N]."""
+    answers = CONVERGED[True, 0.45]
+    softer = scene.material.young / modulus(scene.mesh.file) / YOUNG
+    return [softer * answers[f"flat {1e3 * at:g} mm [N]"].value for at in DEPTHS["flat"]]
+
+
+def fitted(depth: np.ndarray, force: np.ndarray) -> tuple[float, float, float]:
+    """b [N/m], m [1/m] and R² of k = b + m F, k = dF/d depth at rest."""
+    k, F = np.diff(force) / np.diff(depth), 0.5 * (force[1:] + force[:-1])
+    within = (FITTED[0] <= F) & (FITTED[1] >= F)
+    m, b = np.polyfit(F[within], k[within], 1)
+    left = k[within] - (b + m * F[within])
+    return float(b), float(m), float(1.0 - left.var() / k[within].var())
+
+
+def draw(depth: np.ndarray, force: np.ndarray, without: np.ndarray, meant: list[float], out: Path) -> None:
+    """The curves, and stiffness against force, as a picture."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(5.2, 3.6), layout="constrained")
-    for young, force in curves.items():
-        chosen = young == scene.material.young
-        axes.plot(
-            DEPTHS * 1e3,
-            force,
-            marker="o",
-            ms=4,
-            lw=2.2 if chosen else 1.0,
-            color="C0" if chosen else "0.55",
-            ls="-" if chosen else (0, (4, 2)) if young < scene.material.young else (0, (1, 1)),
-            label=f"E = {young / 1e3:g} kPa" + (" (the scene's)" if chosen else ""),
-        )
-    axes.plot(DEPTHS * 1e3, without, "-", color="C1", lw=1.2, label="the scene's, without limits")
-    axes.axhline(1.0, color="0.8", lw=0.8, zorder=0)
-    axes.axvspan(1.5, 2.0, color="0.94", zorder=0)
-    axes.set(xlabel="depth of a flat press [mm]", ylabel="normal force at rest [N]", xlim=(0, 2.5), ylim=(0, 10))
-    axes.text(1.52, 9.5, "1.5 to 2 mm", fontsize=8, color="0.4", va="top")
-    axes.legend(frameon=False, fontsize=8, loc="upper left")
+    b, m, R2 = fitted(depth, force)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8.0, 3.4), layout="constrained")
+    left.plot(1e3 * depth, force, color="C0", lw=2.0, label="the scene's finger")
+    left.plot(1e3 * depth, without, color="C1", lw=1.2, label="without limits")
+    left.plot(1e3 * np.array(DEPTHS["flat"]), meant, "k+", ms=8, label="converged")
+    left.set(xlabel="depth of a flat press [mm]", ylabel="normal force at rest [N]", xlim=(0, 2.5), ylim=(0, 8))
+    left.legend(frameon=False, fontsize=8, loc="upper left")
+    k, F = 1e-3 * np.diff(force) / np.diff(depth), 0.5 * (force[1:] + force[:-1])
+    right.plot(F, k, ".", color="C0", ms=4, label="the scene's finger")
+    line = np.array(FITTED)
+    right.plot(
+        line, 1e-3 * (b + m * line), color="0.4", lw=1.0, label=f"k = {1e-3 * b:.2f} + {1e-3 * m:.2f} F, R² {R2:.3f}"
+    )
+    right.set(xlabel="normal force F [N]", ylabel="stiffness k [N/mm]", xlim=(0, 5.5), ylim=(0, None))
+    right.set_ylim(0, 1.3e-3 * (b + m * FITTED[1]))
+    right.legend(frameon=False, fontsize=8, loc="upper left")
     out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, dpi=150)
 

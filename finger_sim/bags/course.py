@@ -187,7 +187,7 @@ def _skin() -> Floats:
     from ..scene.mesh import TetMesh
     from ..scene.resources import shipped
 
-    mesh = TetMesh.load(shipped("config") / "meshes" / "finger_paper.vtu")
+    mesh = TetMesh.load(shipped("config") / "meshes" / "finger.vtu")
     return np.delete(mesh.points, mesh.node_sets["bone"], axis=0)
 
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from ..console import make_files
 from ..physics.rotations import matrix, normalised
-from ..scene.mesh import TetMesh
-from ..scene.resources import shipped
+from ..scene.finger_shape import first_touch
 from .reader import START, write_commands
 
 __all__ = [
@@ -134,19 +133,17 @@ def touch_height(points: NDArray[np.float64], orientation: Sequence[float]) -> f
     return -float((points @ matrix(normalised(orientation)).T)[:, 2].min())
 
 
-def make_bags(folder: str | Path, mesh: TetMesh | None = None) -> list[Path]:
-    """Makes the shipped bags in `folder`, for the scene finger.yaml; the same files every time.
+def make_bags(folder: str | Path) -> list[Path]:
+    """Makes the shipped bags in `folder`, for the finger of `scene.finger_shape`; the same files every time.
 
-    mesh : finger to place over the plane, the shipped one if left out
     Raises BagError when one of the bags is there already.
     """
-    points = (mesh or TetMesh.load(shipped("config") / "meshes" / "finger_paper.vtu")).points
     made = []
     for seed, (name, (orientation, strokes)) in enumerate(STROKES.items()):
         n = round(sum(stroke.duration for stroke in strokes) * RATE) + 1
         t = np.arange(n) / RATE
         position = trace(strokes, t) + tremor(t, seed)
-        position[:, 2] += touch_height(points, orientation)
+        position[:, 2] += first_touch(matrix(normalised(orientation)))
         position = np.round(position * 2.0**30) / 2.0**30  # about a nanometre: the same on every machine
         times = [START + k * 1_000_000_000 // RATE for k in range(n)]
         orientations = np.tile(np.array(orientation), (n, 1))

@@ -19,7 +19,7 @@ def add_mesh(verbs: Any) -> None:
         "a finger without the inside of its bones (needs the extra [mesh])",
         "finger_sim mesh finger -o fine.vtu --tets 2000",
     )
-    finger.add_argument("--tets", type=int, metavar="N", help="about so many tetrahedra (default: 1000)")
+    finger.add_argument("--tets", type=int, metavar="N", help="about so many tetrahedra (default: 900)")
     finger.add_argument("--distal", action="store_true", help="the last 28 mm alone: the fingertip")
     solid = verb(
         kinds,

@@ -1,9 +1,9 @@
 """The modulus of each shipped finger mesh: with it all of them press as the finger that is meant does.
 
-What a coarse mesh leaves wrong is nearly one factor of Young's modulus over all depths. Each mesh states that factor,
-the least-squares fit of the logarithm of the force of a flat press at 0.5, 1, 1.5 and 2 mm, at rest, with the limits of
-`finger_haptic`, ν 0.45 and patches. What converged is, `studies.mesh_error` tells. Two factors are
-not measured: the finest mesh counts as the finger that is meant, and the paper's, which is another finger, keeps 1.
+What a coarse mesh leaves wrong is nearly one factor of Young's modulus over all depths. Each mesh states that factor:
+with it the largest error of the force of a flat press at 0.5, 1, 1.5 and 2 mm is least, at rest, with the limits of
+`finger_haptic`, ν 0.45 and patches. What converged is, `studies.mesh_error` tells. Two factors are not measured: the
+finest mesh counts as the finger that is meant, and the paper's, which is another finger, keeps 1.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from pathlib import Path
 from .scene import Scene
 
 MODULUS: dict[str, float] = {
-    "finger_500": 1.155,
-    "finger": 0.983,
-    "finger_2000": 0.960,
-    "finger_4000": 0.993,
+    "finger_500": 1.252,
+    "finger": 0.977,
+    "finger_2000": 0.979,
+    "finger_4000": 0.977,
     "finger_16000": 1.0,
-    "finger_distal": 0.985,
+    "finger_distal": 0.989,
     "finger_paper": 1.0,
 }
 """Of each shipped mesh by its name: its modulus over that of the tissue that is meant."""

@@ -24,7 +24,7 @@ from .mesh_improvement import Indices, cut_edges, edges_of, narrowest, widened
 
 Mask = NDArray[np.bool_]
 
-FINGER_TETS, FEWEST_TETS = 1000, 450
+FINGER_TETS, FEWEST_TETS = 900, 450
 TETS_TOLERANCE = 0.05  # largest relative difference between the tets asked for and those made
 MIN_DIHEDRAL = math.radians(12.0)  # of a finger as generated
 AIM_DIHEDRAL = math.radians(18.0)  # of one that is taken without looking for a better one
@@ -32,14 +32,11 @@ _WIDENED = math.radians(20.0)  # nodes of tets with narrower angles are moved
 _NUDGES = sorted(np.arange(-20, 21) * 0.008, key=abs)  # changes of size that are tried, nearest first
 _ROUNDS = 6  # times that edges are cut; two are usual
 
-# Where a press is felt, x and z [mm] about its middle, and y below: tets are finest there.
-_FINEST_X, _FINEST_HALF_X, _FINEST_Y, _FINEST_HALF_Z = 3.0, 5.0, -5.2, 5.0
-_GROWTH, _GROWTH_OF_FEW = 0.2, 0.25  # of the edge length, for each mm away, over the finest
-_FEW = 750  # tets: with less, they are spent nearer to the pad
-_LONGEST = 12.0  # edge [mm]: a fifth of the way around the skin
-_LONGEST_TO_ROOT = 8.5  # longest edge over the root of the finest [mm^0.5]: far away, refining gains less
+_AT_1000 = 2.0  # edge [mm] where tets are finest, of 1,000, to begin with
+_LONGEST = 14.4  # edge [mm]: a quarter of the way around the skin
+_LONGEST_TO_ROOT = 10.0  # longest edge over the root of the finest [mm^0.5]: far away, refining gains less
 
-_BONE_TIP, _AT_BONE_TIP = (BONE_TIP, -0.6, 0.0), 2.5  # longest edge at the bone's tip [mm], which is 3 mm thick
+_BONE_TIP, _AT_BONE_TIP = (BONE_TIP, -0.6, 0.0), 3.0  # longest edge at the bone's tip [mm], which is 3 mm thick
 
 _FILLED_FROM, _FILLED_FROM_DISTAL = 1500, 900  # tets from which Netgen fills the inside; fewer serve better on the skin
 _GMSH = {
@@ -50,6 +47,32 @@ _FLAT = 1e-6  # z of the middle of an edge in z = 0 [mm]
 _POLES_ACROSS = 25
 _POLES_APART = 1.5  # along the shaft [mm]: the bones' waists are 10 mm long
 _POLES_OF_CAP = 15
+
+
+@dataclass(frozen=True)
+class Finest:
+    """Where tets are finest [mm]: about the middle in x and z, and below in y."""
+
+    x: float
+    half_x: float
+    below: float
+    half_z: float
+    growth: float
+    """Of the edge length, for each mm away from there, over the finest."""
+
+    def away(self, x: float, y: float, z: float) -> float:
+        """Distance of a place from there [mm]."""
+        return math.hypot(
+            max(0.0, abs(x - self.x) - self.half_x), max(0.0, y - self.below), max(0.0, abs(z) - self.half_z)
+        )
+
+
+PAD = Finest(x=3.7, half_x=5.5, below=-3.0, half_z=6.75, growth=0.27)
+"""Of all fingers: where a press is felt, on the pad as on its side and near the tip.
+
+Of some hundred choices tried at 800 to 1,100 tets, the one whose answers at rest (studies/at_rest.py) came nearest to
+those that converged.
+"""
 
 
 @dataclass(frozen=True)
@@ -86,8 +109,8 @@ class _Half:
         return places
 
 
-def finger(tets: int = FINGER_TETS, *, distal: bool = False) -> TetMesh:
-    """Last 7 cm of a finger, or with `distal` the last 28 mm, in about `tets` tets (within 5 %), finest in the pad.
+def finger(tets: int = FINGER_TETS, *, distal: bool = False, finest: Finest = PAD) -> TetMesh:
+    """Last 7 cm of a finger, or with `distal` the last 28 mm, in about `tets` tets (within 5 %), finest as told.
 
     The bones are a hole. Node sets: `base`, the cut face; `bone`, the surface of the bones and the cut face; `pad`,
     what a plane can touch of the fingertip's palmar skin; `nail`, the skin below the nail plate; `bone_nail`, bone and
@@ -97,16 +120,15 @@ def finger(tets: int = FINGER_TETS, *, distal: bool = False) -> TetMesh:
     if not tets >= FEWEST_TETS or int(tets) != tets:
         raise MeshError(f"finger tets: got {tets!r}, allowed: a whole number >= {FEWEST_TETS}")
     cut = DISTAL_CUT if distal else CUT
-    growth = _GROWTH_OF_FEW if tets < _FEW else _GROWTH
     options = _GMSH | {"Mesh.OptimizeNetgen": int(tets >= (_FILLED_FROM_DISTAL if distal else _FILLED_FROM))}
     best, widest = None, MIN_DIHEDRAL
     with gmsh_session(options) as gmsh:
-        size = 2.0 * (FINGER_TETS / tets) ** 0.4
+        size = _AT_1000 * (1000.0 / tets) ** 0.4
         for _ in range(4):
-            half = _half(gmsh, size, growth, cut)
+            half = _half(gmsh, size, finest, cut)
             size *= 0.99 if half is None else (2 * len(half.tets) / tets) ** 0.4
         for nudge in _NUDGES:
-            half = _half(gmsh, size * (1.0 + nudge), growth, cut)
+            half = _half(gmsh, size * (1.0 + nudge), finest, cut)
             if half is None or abs(2 * len(half.tets) - tets) > TETS_TOLERANCE * tets or not _is_sound(half):
                 continue
             angle = float(narrowest(half.points[half.tets]).min())
@@ -119,10 +141,10 @@ def finger(tets: int = FINGER_TETS, *, distal: bool = False) -> TetMesh:
     return _mirrored(best)
 
 
-def _half(gmsh: Any, size: float, growth: float, cut: float) -> _Half | None:
+def _half(gmsh: Any, size: float, finest: Finest, cut: float) -> _Half | None:
     """The improved half with edges of about `size` [mm] in the pad; None where gmsh cannot fill it at that size."""
     surfaces = _surfaces(gmsh, size, cut)
-    gmsh.model.mesh.setSizeCallback(lambda dim, tag, x, y, z, given: _edge_length(size, growth, x, y, z))
+    gmsh.model.mesh.setSizeCallback(lambda dim, tag, x, y, z, given: _edge_length(size, finest, x, y, z))
     try:
         gmsh.model.mesh.generate(3)
     except Exception:  # gmsh has no kind of its own: coarse triangles of two surfaces may pass through each other
@@ -223,16 +245,11 @@ def _surfaces(gmsh: Any, size: float, cut: float) -> tuple[tuple[int, ...], ...]
     return (skin,), (below, above), (face,), (middle,)
 
 
-def _edge_length(size: float, growth: float, x: float, y: float, z: float) -> float:
-    """Edge length at a place [mm]: `size` where a press is felt, more by `growth` of it for each mm away from there."""
-    away = math.sqrt(
-        max(0.0, abs(x - _FINEST_X) - _FINEST_HALF_X) ** 2
-        + max(0.0, y - _FINEST_Y) ** 2
-        + max(0.0, abs(z) - _FINEST_HALF_Z) ** 2
-    )
+def _edge_length(size: float, finest: Finest, x: float, y: float, z: float) -> float:
+    """Edge length at a place [mm]: `size` in the finest part, more with the way from there."""
     from_bone_tip = math.dist((x, y, z), _BONE_TIP)
     longest = min(_LONGEST, _LONGEST_TO_ROOT * math.sqrt(size))
-    return min(size * (1.0 + growth * away), longest, _AT_BONE_TIP + 0.4 * from_bone_tip)
+    return min(size * (1.0 + finest.growth * finest.away(x, y, z)), longest, _AT_BONE_TIP + 0.4 * from_bone_tip)
 
 
 def _spline_surface(occ: Any, surface: Surface, cut: float, low: float, high: float) -> int:

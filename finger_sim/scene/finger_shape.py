@@ -176,3 +176,11 @@ def in_nail(points: ArrayLike) -> NDArray[np.bool_]:
     plate = (x >= NAIL_FROM) & (x <= NAIL_TO) & (np.abs(z) <= NAIL_BREADTH * half_breadth)
     nail: NDArray[np.bool_] = plate & (y >= middle + NAIL_HEIGHT * half_depth)
     return nail
+
+
+def first_touch(rotation: Floats) -> float:
+    """Height of the finger frame at which the skin just touches z = 0 [m]; rotation (3, 3) from that frame to world."""
+    grid = np.meshgrid(np.linspace(-1.0, 1.0, 801), np.linspace(-1.0, 1.0, 401), indexing="ij")
+    half = 1e-3 * SKIN.grid(*grid).reshape(-1, 3)
+    up = rotation[2]
+    return -float(min((half @ up).min(), (half @ (up * [1.0, 1.0, -1.0])).min()))

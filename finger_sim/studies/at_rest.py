@@ -19,7 +19,7 @@ from ..bags.strokes import FLAT, SIDE
 from ..errors import FingerSimError
 from ..physics.rotations import Quaternion, matrix
 from ..scene import Pose, Scene
-from ..scene.finger_shape import SKIN
+from ..scene.finger_shape import first_touch
 from ..simulation.simulator import Simulator
 from ..simulation.touch import Imprint
 
@@ -122,7 +122,7 @@ class Press:
     def __init__(self, scene: Scene, orientation: Quaternion) -> None:
         self.simulator = Simulator(scene)
         self._orientation = orientation
-        self._touch = touching(orientation)
+        self._touch = first_touch(matrix(orientation))
         self._height = self._touch + 1e-4
         self._along = self._force = 0.0
         self._before = (-math.inf, 0.0)  # depth and force of the rest before
@@ -203,11 +203,3 @@ class Press:
 def _spread(forces: Floats) -> float:
     """How much forces (n, 3) differ, in parts of the last."""
     return float(np.ptp(forces, axis=0).max() / max(np.linalg.norm(forces[-1]), 1e-9))
-
-
-def touching(orientation: Quaternion) -> float:
-    """Height of the finger frame at which the skin that is meant touches the table [m]."""
-    along, across = np.meshgrid(np.linspace(-1.0, 1.0, 801), np.linspace(-1.0, 1.0, 401), indexing="ij")
-    half = 1e-3 * SKIN.grid(along, across).reshape(-1, 3)
-    down = matrix(orientation)[2]
-    return -float(min((half @ down).min(), (half @ (down * [1.0, 1.0, -1.0])).min()))

@@ -25,31 +25,30 @@ class Converged(NamedTuple):
 
 CONVERGED: dict[tuple[bool, float], dict[str, Converged]] = {
     (True, 0.45): {
-        "flat 0.5 mm [N]": Converged(0.0633, 0.02),
-        "flat 1 mm [N]": Converged(0.3366, 0.03),
-        "flat 1.5 mm [N]": Converged(1.483, 0.01),
-        "flat 2 mm [N]": Converged(8.216, 0.02),
-        "side 0.5 mm [N]": Converged(1.388, 0.06),
-        "side 1 mm [N]": Converged(7.83, 0.04),
-        "tip 0.5 mm [N]": Converged(0.1846, 0.27),
-        "tip 1 mm [N]": Converged(1.957, 0.11),
-        "tangential 1 N [N/mm]": Converged(0.718, 0.08),
-        "tangential 4 N [N/mm]": Converged(5.01, 0.04),
-        "area 1 N [mm²]": Converged(107.0, 0.04),
-        "area 4 N [mm²]": Converged(127.5, 0.03),
+        "flat 0.5 mm [N]": Converged(0.06272, 0.029),
+        "flat 1 mm [N]": Converged(0.3347, 0.046),
+        "flat 1.5 mm [N]": Converged(1.46, 0.004),
+        "flat 2 mm [N]": Converged(8.153, 0.02),
+        "side 0.5 mm [N]": Converged(1.481, 0.075),
+        "side 1 mm [N]": Converged(7.877, 0.003),
+        "tip 0.5 mm [N]": Converged(0.2059, 0.017),
+        "tip 1 mm [N]": Converged(1.937, 0.007),
+        "tangential 1 N [N/mm]": Converged(0.7629, 0.017),
+        "tangential 4 N [N/mm]": Converged(4.943, 0.022),
+        "area 1 N [mm²]": Converged(105.1, 0.01),
+        "area 4 N [mm²]": Converged(129.6, 0.004),
     },
     (False, 0.45): {
-        "flat 0.5 mm [N]": Converged(0.0512, 0.02),
-        "flat 1 mm [N]": Converged(0.1806, 0.03),
-        "flat 1.5 mm [N]": Converged(0.4029, 0.04),
-        "flat 2 mm [N]": Converged(0.7342, 0.02),
+        "flat 0.5 mm [N]": Converged(0.05037, 0.01),
+        "flat 1 mm [N]": Converged(0.1788, 0.012),
+        "flat 1.5 mm [N]": Converged(0.3955, 0.027),
+        "flat 2 mm [N]": Converged(0.7059, 0.038),
     },
 }
 """(Whether strain is limited, ν) → the answers by name, see `Answers.values`.
 
-Flat forces with limits are those of 8,000 tetrahedra and all else of 4,000, area from both; each is as far off as the
-next coarser of the meshes of 2,000, 4,000 and 8,000 is from it. Presses on the tip
-and the side are not converged to 2 %.
+They are those of 8,000 tetrahedra, finest where each press touches, and as far off as those of 4,000 are from them:
+`benchmarks/converged.py`.
 """
 
 

@@ -25,7 +25,7 @@ def straight(seconds: NDArray[np.float64], x: NDArray[np.float64], height: float
 
 def pulp(axis: int = 1) -> float:
     """How far what is soft of the shipped finger reaches below its frame with the nail up, or another axis [m]."""
-    mesh = TetMesh.load(shipped("config") / "meshes" / "finger_paper.vtu")
+    mesh = TetMesh.load(shipped("config") / "meshes" / "finger.vtu")
     free = [i for i in range(len(mesh.points)) if i not in set(mesh.node_sets["bone"].tolist())]
     return -float(mesh.points[free, axis].min())
 

@@ -84,7 +84,7 @@ def test_touch_height_of_a_box() -> None:
 
 @for_each("name", BAGS)
 def test_shipped_bag(name: str) -> None:
-    """4 to 8 s at 500 Hz in less than 400 kB, in the world frame, pressing as deep as its name says."""
+    """4 to 8 s at 500 Hz in less than 400 kB, in the world frame, as deep as its name says below the finest mesh."""
     path = shipped("bags") / name
     assert sum(file.stat().st_size for file in path.iterdir()) < 400_000
     assert sorted(file.name for file in path.iterdir()) == ["metadata.yaml", f"{name}_0.mcap"]
@@ -96,11 +96,11 @@ def test_shipped_bag(name: str) -> None:
     np.testing.assert_allclose(commands.receipt, commands.stamp, atol=1e-12)
     assert (commands.frame_id, commands.refused, commands.start) == ("world", 0, START)
     np.testing.assert_allclose(commands.orientation, [STROKES[name][0]] * len(commands), atol=1e-15)
-    points = TetMesh.load(shipped("config") / "meshes" / "finger_paper.vtu").points
+    points = TetMesh.load(shipped("config") / "meshes" / "finger_16000.vtu").points
     height = commands.position[:, 2] - touch_height(points, STROKES[name][0])
     depth = 1e-3 if name == "press_side" else 2e-3
-    np.testing.assert_allclose(height.min(), -depth, atol=1.1 * TREMOR)
-    np.testing.assert_allclose(height[[0, -1]], 3e-3, atol=1e-8)
+    np.testing.assert_allclose(height.min(), -depth, atol=1.1 * TREMOR + 2e-5)
+    np.testing.assert_allclose(height[[0, -1]], 3e-3, atol=2e-5)
     slid = np.ptp(commands.position[:, :2], axis=0)
     travel = 20e-3 if name == "press_slide" else 0.0
     np.testing.assert_allclose(slid, travel, atol=2.1 * TREMOR)

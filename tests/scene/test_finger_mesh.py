@@ -36,7 +36,7 @@ from finger_sim.scene.resources import shipped
 Array = NDArray[np.float64]
 
 needs_gmsh = pytest.mark.skipif(find_spec("gmsh") is None, reason="gmsh makes finger meshes")
-WHOLE = {"finger_500": 500, "finger": 1000, "finger_2000": 2000, "finger_4000": 4000, "finger_16000": 16000}
+WHOLE = {"finger_500": 500, "finger": 900, "finger_2000": 2000, "finger_4000": 4000, "finger_16000": 16000}
 SHIPPED = {**WHOLE, "finger_distal": 1000}
 every_finger = pytest.mark.parametrize("name", SHIPPED)
 ON_SURFACE = 1e-9  # of the level, 1 on a surface
@@ -193,10 +193,10 @@ def test_it_is_its_own_mirror_image(name: str) -> None:
 
 
 def test_the_volume_converges_to_that_of_the_formulas() -> None:
-    """Skin less bone: the error falls with size, to less than 1 % of the finest; of the fingertip too."""
+    """Skin less bone: the error falls with size, to 3 % of the finest, coarse far away; of the fingertip too."""
     volume = volume_within(SKIN, CUT) - volume_within(BONE, CUT)
     errors = [abs(1e9 * mesh_of(name).volumes.sum() / volume - 1.0) for name in WHOLE]
-    assert errors[-1] < 0.015
+    assert errors[-1] < 0.03
     assert all(later < 1.05 * earlier for earlier, later in itertools.pairwise(errors))
     tip = volume_within(SKIN, DISTAL_CUT) - volume_within(BONE, DISTAL_CUT)
     assert 1e9 * mesh_of("finger_distal").volumes.sum() == pytest.approx(tip, rel=0.05)
