@@ -16,7 +16,7 @@ from finger_sim.plain import printing
 SWING, REST = 1.5, 12.0  # simulated time of each run [s]
 LAST = 0.3  # of the run to rest that is looked at [s]
 REST_DAMPING = 5.0  # mass-proportional damping that brings a beam to rest [1/s]
-TOUCH = 0.00734  # height of the commanded bone at which the pad touches the plane [m]
+TOUCH = 0.0075  # height of the commanded bone at which the pad touches the plane [m]
 HELD = 0.7  # how long the press is held; its last LAST is looked at [s]
 
 

@@ -21,7 +21,7 @@ def add_bench(verbs: Any) -> None:
     )
     add = bench.add_argument
     add("--quick", action="store_true", help="350 tetrahedra, one repetition, no start-up: half a minute")
-    add("--sizes", type=int, nargs="+", metavar="N", help="tetrahedra (default: 350 1000 2000 4000)")
+    add("--sizes", type=int, nargs="+", metavar="N", help="tetrahedra (default: 350 900 2000 4000)")
     add("--repeats", type=int, metavar="N", help="repetitions after a warm-up (default: 3)")
     add("--steps", type=positive, metavar="SHARE", help="share of the steps to run, the way down apart (default: 1)")
     add("--cpu", type=int, metavar="K", help="processor to run on (default: the last allowed one)")

@@ -45,7 +45,7 @@ def test_it_is_read_back_from_folder_file_and_what_is_left_of_one(tmp_path: Path
     origin = read_origin(BagReader(bag))
     assert origin is not None
     assert (origin.made_by, origin.options["force_scale"], origin.machine["cores"]) == ("node", 0.1, 2)
-    assert origin.scene["mesh"] == {"file": "meshes/finger_paper.vtu"}
+    assert origin.scene["mesh"] == {"file": "meshes/finger.vtu"}
     assert origin.reached == REACHED
     assert recorded_scene(BagReader(bag), origin) == scene
     file = bag / "bag_0.mcap"
@@ -64,7 +64,7 @@ def test_rosbags_reads_it_too(tmp_path: Path) -> None:
     with Reader(bag) as reader:
         assert reader.message_count == 300
     text = (bag / "metadata.yaml").read_text()
-    assert "    finger_sim.scene: |\n      mesh: {file: meshes/finger_paper.vtu}\n" in text
+    assert "    finger_sim.scene: |\n      mesh: {file: meshes/finger.vtu}\n" in text
     assert f"finger_sim.mesh_sha256: {mesh_hash(Scene.load('finger').load_mesh())}\n" in text
 
 

@@ -7,7 +7,7 @@ import pytest
 from small_fingers import small
 
 from finger_sim import Scene, Simulator
-from finger_sim.haptics.budget import CUTS, MOST_PATIENCE, PATIENCE, WINDOW, Budget, claimed, ladder, usable
+from finger_sim.haptics.budget import MOST_PATIENCE, PATIENCE, WINDOW, Budget, claimed, ladder, usable
 from finger_sim.scene import Solver
 from finger_sim.studies.shared import poses
 from finger_sim.studies.tradeoff.rungs import CONVERGED, forces
@@ -109,18 +109,17 @@ def test_rungs_never_ask_for_more_than_the_scene_and_each_changes_something() ->
 
 def test_errors_are_claimed_only_of_what_was_measured() -> None:
     """For each shipped scene its own; none once a value that decides about them is another."""
-    haptic, other = small("finger_haptic"), small("finger")
+    haptic, other = Scene.load("finger_haptic"), Scene.load("finger")
     mesh = haptic.load_mesh()
     mine, its = claimed(haptic, mesh), claimed(other, mesh)
-    assert list(mine) == ["scene", *(cut.name for cut in CUTS)]
-    assert list(its) == ["scene", "coarse", "capped"]
-    assert its["coarse"] > 20.0 * mine["coarse"]
+    assert list(mine) == list(its) == ["scene", "coarse", "capped"]
+    assert mine != its
     assert claimed(haptic.with_values({"solver.budget_ms": 0.5, "solver.sleep": False}), mesh) == mine
     for changes in ({"plane.friction": 0.6}, {"material.young": 1.5e4}, {"dt": 2e-3}, {"solver.tolerance": 2e-3}):
         assert claimed(haptic.with_values(changes), mesh) == {}
     assert claimed(haptic, Scene.load("presets/haptic").load_mesh()) == mine
-    coupled = small("finger_coupled")
-    assert [rung.name for rung in usable(coupled, mesh)] == ["scene", "coarse", "lagged"]
+    coupled = Scene.load("finger_coupled")
+    assert [rung.name for rung in usable(coupled, mesh)] == ["scene", "coarse"]
     assert usable(haptic, mesh) == ladder(haptic.solver)
     beam = Scene.from_dict({"mesh": {"beam": {"size": [1.0, 1.0, 1.0], "cells": [1, 1, 1]}}})
     assert claimed(beam, beam.load_mesh()) == {}
@@ -129,7 +128,7 @@ def test_errors_are_claimed_only_of_what_was_measured() -> None:
 @pytest.mark.slow
 def test_the_largest_claim_of_the_scene_for_haptics_holds() -> None:
     """Measured anew, the quickest rung does no worse by 2 times, nor better by 2 times."""
-    scene = small("finger_haptic").with_values({"solver.sleep": False})
+    scene = Scene.load("finger_haptic").with_values({"solver.sleep": False})
     commands = poses(scene, "press_slide")
     exact = forces(Simulator(scene.with_values(CONVERGED)), commands)
     simulator = Simulator(scene)
@@ -150,7 +149,7 @@ def test_a_simulator_walks_the_ladder_and_back() -> None:
         for _ in range(40):
             out = sim.step(None)
         assert np.isfinite(sim.positions).all()
-        assert sim.work["matrices"] - before == (10 if name == "lagged" else 40)
+        assert sim.work["matrices"] - before == (0 if name == "lagged" else 40)
         assert not out.status
     assert sim.scene.solver.level == "standard"
     sim.solve_with(rungs["capped"])

@@ -18,7 +18,7 @@ Mask = NDArray[np.bool_]
 MUJOCO = "MuJoCo"
 UNIT_SIZE = 350
 """Ratios are to MuJoCo at this size."""
-DEFAULT_SIZE = 1000
+DEFAULT_SIZE = 900
 """Of the mesh that the everyday scenes have."""
 SOME, MANY = 80, 270
 """Tetrahedra at a limit in steps that two of the figures look at."""

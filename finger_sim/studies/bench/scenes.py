@@ -19,7 +19,7 @@ from .peers import Peer, PeerCase
 
 MESHES = {
     350: "meshes/finger_paper.vtu",
-    1000: "meshes/finger.vtu",
+    900: "meshes/finger.vtu",
     2000: "meshes/finger_2000.vtu",
     4000: "meshes/finger_4000.vtu",
 }

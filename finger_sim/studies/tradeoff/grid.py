@@ -166,7 +166,7 @@ DEFAULT = Grid(
         {"solver.method": "pgs", "solver.max_iterations": 400},
         {"solver.level": "lagged", "plane.stiffness": 250.0},
         {"solver.level": "lagged", "plane.stiffness": 1000.0, "substeps": 4},
-        {"plane.stiffness": 1000.0, "substeps": 4, "solver.relinearizations": 1},
+        {"plane.stiffness": 1000.0, "substeps": 4, "solver.level": "standard", "solver.relinearizations": 1},
         {"mesh.file": f"meshes/{MEANT}.vtu", **PATCHES, "dt": 2e-3},
         {"mesh.file": f"meshes/{MEANT}.vtu", **PATCHES, "dt": 4e-3, "solver.level": "lagged"},
     ),
