@@ -37,7 +37,7 @@ FREE = {
     "finger_500": (0.0383, 0.1724, 0.3707, 0.6263),
     "finger": (0.0523, 0.1837, 0.409, 0.7511),
     "finger_2000": (0.0509, 0.1861, 0.4058, 0.7279),
-    "finger_4000": (0.0499, 0.1823, 0.411, 0.7498),
+    "finger_4000": (0.0509, 0.1761, 0.4042, 0.7423),
     "finger_distal": (0.0478, 0.1819, 0.4112, 0.7061),
 }
 """Mesh → its answers at YOUNG with limits and without, ν 0.45, as they were when they were judged."""
