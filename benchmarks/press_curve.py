@@ -14,7 +14,7 @@ import numpy as np
 from finger_sim import Scene
 from finger_sim.plain import printing
 from finger_sim.scene.calibration import modulus
-from finger_sim.studies.at_rest import CALM, DEPTHS, ORIENTATIONS, SETTING, Press
+from finger_sim.studies.at_rest import DEPTHS, ORIENTATIONS, Press, at_rest
 from finger_sim.studies.mesh_error import CONVERGED, YOUNG
 
 STEP, DEEPEST = 5e-5, 2.6e-3  # [m]
@@ -44,7 +44,7 @@ def main() -> None:
 
 def press(scene: Scene, depth: np.ndarray) -> np.ndarray:
     """Normal force at rest [N] at each depth, pressed one after the other."""
-    finger = Press(scene.with_values(SETTING | (CALM if scene.limits is not None else {})), ORIENTATIONS["flat"])
+    finger = Press(at_rest(scene), ORIENTATIONS["flat"])
     return np.array([finger.to(float(at)) for at in depth])
 
 
@@ -84,7 +84,7 @@ def draw(depth: np.ndarray, force: np.ndarray, without: np.ndarray, meant: list[
     right.plot(
         line, 1e-3 * (b + m * line), color="0.4", lw=1.0, label=f"k = {1e-3 * b:.2f} + {1e-3 * m:.2f} F, R² {R2:.3f}"
     )
-    right.set(xlabel="normal force F [N]", ylabel="stiffness k [N/mm]", xlim=(0, 5.5), ylim=(0, None))
+    right.set(xlabel="normal force F [N]", ylabel="stiffness k [N/mm]", xlim=(0, 5.5))
     right.set_ylim(0, 1.3e-3 * (b + m * FITTED[1]))
     right.legend(frameon=False, fontsize=8, loc="upper left")
     out.parent.mkdir(parents=True, exist_ok=True)

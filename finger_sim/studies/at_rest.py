@@ -99,7 +99,7 @@ def answers(scene: Scene, orientations: tuple[str, ...] = ("flat", "side", "tip"
 
     Raises NotAtRestError when the finger does not come to rest, SceneError where the scene has no table.
     """
-    scene = scene.with_values(SETTING | (CALM if scene.limits is not None else {}))
+    scene = at_rest(scene)
     forces: dict[str, tuple[float, ...]] = {}
     tangential: list[float] = []
     area: list[float] = []
@@ -114,6 +114,11 @@ def answers(scene: Scene, orientations: tuple[str, ...] = ("flat", "side", "tip"
             if depth < math.inf:
                 forces[name] += (press.to(depth),)
     return Answers(forces, tuple(tangential), tuple(area))
+
+
+def at_rest(scene: Scene) -> Scene:
+    """The scene as it is pressed: SETTING, and CALM where it has limits."""
+    return scene.with_values(SETTING | (CALM if scene.limits is not None else {}))
 
 
 class Press:

@@ -24,6 +24,8 @@ from finger_sim.bags.strokes import (
     trace,
     tremor,
 )
+from finger_sim.physics.rotations import matrix
+from finger_sim.scene.finger_shape import first_touch
 from finger_sim.scene.mesh import TetMesh
 from finger_sim.scene.resources import shipped
 
@@ -101,6 +103,8 @@ def test_shipped_bag(name: str) -> None:
     depth = 1e-3 if name == "press_side" else 2e-3
     np.testing.assert_allclose(height.min(), -depth, atol=1.1 * TREMOR + 2e-5)
     np.testing.assert_allclose(height[[0, -1]], 3e-3, atol=2e-5)
+    above = commands.position[[0, -1], 2] - first_touch(matrix(STROKES[name][0]))
+    np.testing.assert_allclose(above, 3e-3, atol=1e-8)
     slid = np.ptp(commands.position[:, :2], axis=0)
     travel = 20e-3 if name == "press_slide" else 0.0
     np.testing.assert_allclose(slid, travel, atol=2.1 * TREMOR)

@@ -67,6 +67,29 @@ def test_lagged_is_as_accurate_for_fewer_matrices() -> None:
     assert np.abs(standard[:, 2]).max() > 0.5
 
 
+def test_a_lagged_matrix_is_made_anew_where_it_has_changed() -> None:
+    """A tetrahedron has turned by 0.02 rad since, or a limit force changed by 0.3 of the largest; factors, seldom."""
+    scene = small("finger_haptic").with_values({"solver.level": "lagged", "material.volumetric": "patch"})
+    sim, made, turned, changed = Simulator(scene), 0, 0, 0
+    orientation = scene.initial_pose.orientation
+    sim.reset(Pose((0.0, 0.0, 0.0085), orientation))
+    then: tuple[Array, Array] | None = None
+    for k in range(220):
+        q, force = sim._state.quaternion.copy(), sim._state.limit_force.copy()
+        angle = 2.0 * np.arccos(np.abs((q * then[0]).sum(axis=1)).min().clip(0.0, 1.0)) if then else np.inf
+        change = np.abs(force - then[1]).max() - 0.3 * max(force.max(), then[1].max()) if then else 0.0
+        before = sim.work["matrices"]
+        sim.step(Pose((2e-5 * max(0, k - 150), 0.0, 0.0085 - 2e-5 * min(k, 150)), orientation))
+        assert sim.work["matrices"] - before == (angle > 0.02 or change > 0.0), k
+        if sim.work["matrices"] > before:
+            then, made = (q, force), made + 1
+            turned, changed = turned + (angle > 0.02), changed + (angle <= 0.02)
+    assert 20 < made < 150
+    assert turned > 5
+    assert changed > 5
+    assert sim.work["factorisations"] < 110
+
+
 @pytest.mark.parametrize(
     "values",
     [

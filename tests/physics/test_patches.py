@@ -22,13 +22,15 @@ def found(problem: Problem) -> Partition:
 
 @each
 def test_patches_are_those_that_were_measured(problem: Problem) -> None:
-    """The same ones, but for ties that rounding decides: as many, and the same force at ν 0.49, to 2 %; block: all."""
+    """The same ones, but for ties that rounding decides: as many to 2 %; at ν 0.49 their force to 0.2 %, finger 2 %."""
     labels, theirs = found(problem).of_tet, patches.freedoms(problem.tets, problem.driven())
     both = len(np.unique(np.stack([labels, theirs]), axis=1).T)
     if problem.name == "block":
         assert both == len(np.unique(theirs)) == len(np.unique(labels))
     assert len(np.unique(labels)) == pytest.approx(len(np.unique(theirs)), rel=0.02)
-    assert linear.force(problem, 0.49, labels) == pytest.approx(linear.force(problem, 0.49, theirs), rel=2e-2)
+    assert linear.force(problem, 0.49, labels) == pytest.approx(
+        linear.force(problem, 0.49, theirs), rel=2e-2 if problem.name == "finger" else 2e-3
+    )
 
 
 @each
