@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numba
 import numpy as np
 from scipy.spatial.transform import Rotation
 from small_fingers import small
 
 from finger_sim import Pose, Scene, Simulator, Status, StepResult
 from finger_sim.physics.elimination import analyse
+from finger_sim.physics.tensor_rows import pack_rows
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -156,6 +158,28 @@ def settle(sim: Simulator, command: Pose | None = None, *, speed: float = 1e-9, 
         if np.abs(sim.velocities).max() < speed:
             return out
     raise AssertionError(f"not at rest after {steps} steps: {np.abs(sim.velocities).max():.2e} m/s")
+
+
+@numba.njit  # type: ignore[untyped-decorator]
+def _packed(model: Any, state: Any, first: int) -> int:
+    return pack_rows(model, state, first, False)
+
+
+def pack(sim: Simulator) -> None:
+    """The limit rows of the last step one after the other in State, where `newton` has those of `tensor` in lanes.
+
+    Before the step, State.row_tet is to be filled with what no row has: what is left of it has no row.
+    """
+    scene, state = sim.scene, sim._state
+    if scene.limits is None or scene.limits.projection != "tensor" or scene.solver.method != "newton":
+        return
+    first = 0
+    while first < len(state.row_tet) and -len(sim.positions) <= state.row_tet[first] < 0:
+        first += 1
+    held = state.row_tet[:first].copy(), state.newton.stiffness.copy()
+    rows = _packed(sim._ready.model, sim._ready.state, first)
+    assert rows >= first
+    state.newton.stiffness[:] = held[1]
 
 
 def healthy(out: StepResult) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 from numpy.testing import assert_allclose
-from physics_helpers import Array, healthy
+from physics_helpers import Array, healthy, pack
 
 from finger_sim import Pose, Scene, Simulator
 
@@ -79,6 +79,7 @@ def stepped(sim: Simulator, command: Pose | None, well: bool = True) -> Problem:
     limit_force = state.limit_force.ravel()[: len(body.tets)].copy() if state.limit_force.size else None
     state.row_tet[:] = NO_ROW = np.iinfo(np.int64).max
     out = sim.step(command)
+    pack(sim)
     assert healthy(out) or not well
     v_driven = (sim.positions[driven] - x[driven]) / h
     viscosity = scene.limits.viscosity if scene.limits else 0.0

@@ -49,8 +49,9 @@ class Cadence:
         self._mean_wait = 0.0
         self._at = at
         self._way: Numbers | None = None  # from the command before to the last
+        self._square = 0.0  # of it
         self._by_receipt = self._by_step = 0.0  # one over the time that it took [1/s]
-        self._unrest = {"receipt": 0.0, "even": 0.0}  # mean change of the hand's velocity by either time
+        self._unrest_by_receipt = self._unrest_by_step = 0.0  # mean change of the hand's velocity by either time
 
     @property
     def known(self) -> bool:
@@ -78,7 +79,7 @@ class Cadence:
         step = self._fit(received)
         if at != self._at:
             self._compare(gap, step, at)
-        even, uneven = self._unrest["even"] ** 4, self._unrest["receipt"] ** 4
+        even, uneven = self._unrest_by_step**4, self._unrest_by_receipt**4
         share = uneven / (uneven + even) if self.count > BEGINNING and uneven + even > 0.0 else 0.0
         self.time = max(received + share * (self._even - received), self.time + 1e-9)
         return self.time
@@ -100,25 +101,24 @@ class Cadence:
     def _compare(self, gap: float, step: float, at: Numbers) -> None:
         """How much the hand's velocity changes by receipt, and by even times."""
         shortest = max(0.05 * self.interval, 1e-6)
-        by_receipt, by_step = 1.0 / max(gap, shortest), 1.0 / max(step, shortest)
+        by_receipt = 1.0 / (gap if gap > shortest else shortest)
+        by_step = 1.0 / (step if step > shortest else shortest)
         a, b, c, d, e, f, g = self._at
         h, i, j, k, m, n, o = at
         turn = 2.0 * LEVER
-        way = (h - a, i - b, j - c, turn * (k - d), turn * (m - e), turn * (n - f), turn * (o - g))
-        before, last_by_receipt, last_by_step = self._way, self._by_receipt, self._by_step
-        self._at, self._way, self._by_receipt, self._by_step = at, way, by_receipt, by_step
+        a, b, c, d, e, f, g = h - a, i - b, j - c, turn * (k - d), turn * (m - e), turn * (n - f), turn * (o - g)
+        square = a * a + b * b + c * c + d * d + e * e + f * f + g * g
+        before, old, p, q = self._way, self._square, self._by_receipt, self._by_step
+        self._at, self._way, self._square = at, (a, b, c, d, e, f, g), square
+        self._by_receipt, self._by_step = by_receipt, by_step
         if before is None:
             return
-        square, old, across = _dot(way, way), _dot(before, before), _dot(before, way)
-        for name, new, last in (("receipt", by_receipt, last_by_receipt), ("even", by_step, last_by_step)):
-            change = math.sqrt(max(0.0, new * new * square - 2.0 * new * last * across + last * last * old))
-            self._unrest[name] += (change - self._unrest[name]) / LATELY
-
-
-def _dot(u: Numbers, v: Numbers) -> float:
-    a, b, c, d, e, f, g = u
-    h, i, j, k, m, n, o = v
-    return a * h + b * i + c * j + d * k + e * m + f * n + g * o
+        h, i, j, k, m, n, o = before
+        across = a * h + b * i + c * j + d * k + e * m + f * n + g * o
+        change = by_receipt * by_receipt * square - 2.0 * by_receipt * p * across + p * p * old
+        self._unrest_by_receipt += ((math.sqrt(change) if change > 0.0 else 0.0) - self._unrest_by_receipt) / LATELY
+        change = by_step * by_step * square - 2.0 * by_step * q * across + q * q * old
+        self._unrest_by_step += ((math.sqrt(change) if change > 0.0 else 0.0) - self._unrest_by_step) / LATELY
 
 
 class _Extremes:
@@ -126,19 +126,19 @@ class _Extremes:
 
     def __init__(self) -> None:
         self._begin = -math.inf
-        self._before = self._present = (math.inf, 0.0)
-
-    @property
-    def smallest(self) -> float:
-        return min(self._present[0], self._before[0])
-
-    @property
-    def largest(self) -> float:
-        return max(self._present[1], self._before[1])
+        self._before = (math.inf, 0.0)  # smallest, largest
+        self._low, self._high = self._before  # of this stretch
+        self.smallest, self.largest = self._before
 
     def add(self, now: float, value: float) -> None:
         if now - self._begin > REMEMBERED:
-            self._before = self._present if now - self._begin < 2.0 * REMEMBERED else (math.inf, 0.0)
-            self._present, self._begin = (math.inf, 0.0), now
-        low, high = self._present
-        self._present = min(low, value), max(high, value)
+            self._before = (self._low, self._high) if now - self._begin < 2.0 * REMEMBERED else (math.inf, 0.0)
+            self._low, self._high, self._begin = value, max(0.0, value), now
+            self.smallest, self.largest = min(self._before[0], self._low), max(self._before[1], self._high)
+            return
+        if value < self._low:
+            self._low = value
+            self.smallest = min(self._before[0], value)
+        if value > self._high:
+            self._high = value
+            self.largest = max(self._before[1], value)

@@ -74,8 +74,12 @@ def _height(normal: Vec3, point: Vec3, centre: Vec3, pose: Pose) -> float:
     x, y, z, w = pose.orientation
     a, b, c = centre
     s, t, u = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
-    turned = (a + w * s + y * u - z * t, b + w * t + z * s - x * u, c + w * u + x * t - y * s)
-    return sum(n * (r + p - q) for n, r, p, q in zip(normal, turned, pose.position, point, strict=True))
+    (n0, n1, n2), (p0, p1, p2), (q0, q1, q2) = normal, pose.position, point
+    return (
+        n0 * (a + w * s + y * u - z * t + p0 - q0)
+        + n1 * (b + w * t + z * s - x * u + p1 - q1)
+        + n2 * (c + w * u + x * t - y * s + p2 - q2)
+    )
 
 
 def between(a: Pose, b: Pose, fraction: float) -> Pose:
@@ -129,9 +133,11 @@ def spring_wrench(on_bone: Floats, bone: Pose, command: Pose) -> Floats:
 
 def device_wrench(coupling: Coupling, wrench: Floats) -> Floats:
     """A wrench (6,) [N, N m], its force and torque each scaled back to the coupling's limits."""
+    a, b, c, d, e, f = wrench.tolist()
     wrench = wrench.copy()
-    for part, limit in ((slice(0, 3), coupling.force_limit), (slice(3, 6), coupling.torque_limit)):
-        size = math.hypot(*wrench[part].tolist())
-        if size > limit:
-            wrench[part] *= limit / size
+    force, torque = math.hypot(a, b, c), math.hypot(d, e, f)
+    if force > coupling.force_limit:
+        wrench[:3] *= coupling.force_limit / force
+    if torque > coupling.torque_limit:
+        wrench[3:] *= coupling.torque_limit / torque
     return wrench

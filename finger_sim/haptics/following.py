@@ -174,8 +174,9 @@ class Follower:
             path.append(received + self._offset + dt if stalls else end, pose)
         else:
             wanted, most = max(0.0, cadence.longest_wait - dt), SLEW * (meant - before)
-            self._late += min(max(wanted - self._late, -most), most)
-            self._late = self._late if self._late > EXACT else 0.0
+            if wanted != self._late:
+                self._late += min(max(wanted - self._late, -most), most)
+                self._late = self._late if self._late > EXACT else 0.0
             time = meant + self._offset + self._late + dt
             path.append(end if abs(time - end) < EXACT else max(time, path.end + 1e-9), pose)
 

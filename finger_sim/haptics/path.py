@@ -78,7 +78,9 @@ class Path:
             return
         at = numbers(pose, last.at)
         parts = 1
-        if sum(a * b for a, b in zip(at[3:], last.at[3:], strict=True)) < _FINE and time - last.time > SHORT:
+        _, _, _, a, b, c, d = at
+        _, _, _, e, f, g, h = last.at
+        if a * e + b * f + c * g + d * h < _FINE and time - last.time > SHORT:
             parts = math.ceil(angle(last.pose.orientation, pose.orientation) / FINE_TURN)
         for i in range(1, parts):
             share = i / parts

@@ -111,14 +111,14 @@ def patch_sizes(model: Model, state: State) -> None:
     """|G|² of each patch over its free nodes, and over their masses, into state.patch_size."""
     start, slots, G, sizes = model.patches.start, model.patches.slot, state.G, state.patch_size
     mobility, nf = model.mobility, model.free.shape[0]
-    for p in range(sizes.shape[0]):
+    for p in range(sizes.shape[1]):
         total = moved = 0.0
         for k in range(start[p], start[p + 1]):
             if slots[k] < nf:
                 size = sum3(load4(G, k, 0) * load4(G, k, 0))
                 total += size
                 moved += size * mobility[slots[k]]
-        sizes[p, 0], sizes[p, 1] = total, moved
+        sizes[0, p], sizes[1, p] = total, moved
 
 
 @stage

@@ -8,7 +8,9 @@ from .compile import formula, stage
 from .dilatation import add_patch_rows
 from .lanes import Lanes, lane, load4, splat4, store4
 from .linear_solver import factor
+from .methods import TENSOR
 from .model import Model, State
+from .tensor_rows import pack_rows
 from .vectors import clear
 from .work import FACTORISATIONS
 
@@ -48,6 +50,8 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int) -> 
     )  # fmt: skip
     tet_place, pair_row, pair_column = model.tet_place, model.pair_row, model.pair_column
     stiffness, slip = own.stiffness, own.slip
+    if model.projection == TENSOR:
+        rows = pack_rows(model, state, contacts, True)
     load_elastic(model, state)
     for c in range(contacts // 3):
         row = 3 * c

@@ -17,7 +17,8 @@ Vector = tuple[Lanes, Lanes, Lanes]
 
 _SWEEPS = 12  # 3 to 5 in practice
 _ROUND_OFF = 1e-24  # off-diagonal part squared, of the diagonal's, that ends them: eigenvectors are good to 1e-12
-_LEAST = 5e-324  # the least number above 0: in place of 0 below a fraction whose numerator is 0 too
+_ROUND_OFF_WARM = 1e-20  # the same of a step's, of eigenvalues near 1: eigenvectors are good to 1e-10
+_LEAST = 1e-150  # in place of 0 below a fraction whose numerator is 0 too; its square is a number still
 _ORTHOGONAL = 1e-15  # cosine of the angle between two columns that counts as 0
 
 
@@ -25,6 +26,12 @@ _ORTHOGONAL = 1e-15  # cosine of the angle between two columns that counts as 0
 def load_symmetric(a: Floats, b: int) -> Symmetric:
     """Eight symmetric matrices from entry b of a (…, 6, 8)."""
     return load8(a, b, 0), load8(a, b, 1), load8(a, b, 2), load8(a, b, 3), load8(a, b, 4), load8(a, b, 5)
+
+
+@formula
+def load_vector(a: Floats, b: int, k: int) -> Vector:
+    """Eight vectors from groups k, k + 1, k + 2 of entry b of a."""
+    return load8(a, b, k), load8(a, b, k + 1), load8(a, b, k + 2)
 
 
 @formula
@@ -38,12 +45,15 @@ def store_vector(a: Floats, b: int, k: int, v: Vector) -> None:
 
 @formula
 def turn(pp: Lanes, qq: Lanes, pq: Lanes) -> tuple[Lanes, Lanes, Lanes]:
-    """tan θ, cos θ, sin θ of the rotation that makes entry pq vanish, of lanes."""
+    """cos θ, sin θ and tan θ · pq, which pp loses and qq gains, of the rotation that makes pq vanish, of lanes."""
     d, o = qq - pp, pq + pq
-    below = absolute(d) + sqrt(d * d + o * o)
-    t = where(d < 0.0, -o, o) / maximum(below, _LEAST)
-    c = 1.0 / sqrt(1.0 + t * t)
-    return t, c, t * c
+    size = absolute(d)
+    root = sqrt(d * d + o * o)
+    below = maximum(size + root, _LEAST)  # tan θ = ± o / below
+    over = 1.0 / sqrt(below * below + o * o)
+    back = d < 0.0
+    moved = 0.5 * (root - size)
+    return below * over, where(back, -o, o) * over, where(back, -moved, moved)
 
 
 @formula
@@ -51,27 +61,28 @@ def _turn3(
     pp: Lanes, qq: Lanes, pq: Lanes, rp: Lanes, rq: Lanes, u: Vector, v: Vector
 ) -> tuple[Lanes, Lanes, Lanes, Lanes, Vector, Vector]:
     """A 3 × 3 matrix turned so that pq vanishes; u, v columns p and q of the eigenvectors."""
-    t, c, s = turn(pp, qq, pq)
+    c, s, moved = turn(pp, qq, pq)
     u0, u1, u2 = u
     v0, v1, v2 = v
     return (
-        pp - t * pq, qq + t * pq, c * rp - s * rq, s * rp + c * rq,
+        pp - moved, qq + moved, c * rp - s * rq, s * rp + c * rq,
         (c * u0 - s * v0, c * u1 - s * v1, c * u2 - s * v2), (s * u0 + c * v0, s * u1 + c * v1, s * u2 + c * v2),
     )  # fmt: skip
 
 
-@stage
-def eigen(B: Symmetric) -> tuple[Vector, Vector, Vector, Vector]:
-    """Eigenvalues of eight B, each with the axis its eigenvector is nearest to, and the unit eigenvectors, by columns.
+@formula
+def _sweeps(
+    B: Symmetric, u: Vector, v: Vector, w: Vector, round_off: float, least: float
+) -> tuple[Vector, Vector, Vector, Vector]:
+    """Sweeps until B is diagonal but for `round_off`, of |B|² or `least`; u, v, w turned along.
 
     Unrolled: what is in registers stays there.
     """
     b0, b1, b2, b3, b4, b5 = B
-    one, zero = splat8(1.0), splat8(0.0)
-    u, v, w = (one, zero, zero), (zero, one, zero), (zero, zero, one)
+    zero = splat8(0.0)
     for _ in range(_SWEEPS):
         off = b3 * b3 + b4 * b4 + b5 * b5
-        if bits(off > _ROUND_OFF * (b0 * b0 + b1 * b1 + b2 * b2)) == 0:
+        if bits(off > round_off * maximum(b0 * b0 + b1 * b1 + b2 * b2, least)) == 0:
             break
         b0, b1, b4, b3, u, v = _turn3(b0, b1, b5, b4, b3, u, v)
         b5 = zero
@@ -80,6 +91,44 @@ def eigen(B: Symmetric) -> tuple[Vector, Vector, Vector, Vector]:
         b1, b2, b5, b4, v, w = _turn3(b1, b2, b3, b5, b4, v, w)
         b3 = zero
     return (b0, b1, b2), u, v, w
+
+
+@stage
+def eigen(B: Symmetric) -> tuple[Vector, Vector, Vector, Vector]:
+    """Eigenvalues of eight B, each with the axis its eigenvector is nearest to, and unit eigenvectors by columns."""
+    one, zero = splat8(1.0), splat8(0.0)
+    return _sweeps(B, (one, zero, zero), (zero, one, zero), (zero, zero, one), _ROUND_OFF, 0.0)
+
+
+@formula
+def eigen_from(B: Symmetric, frames: Floats, k: int) -> Vector:
+    """Eigenvalues and eigenvectors of eight B into entry k of `frames` (…, 12, 8), and the eigenvalues.
+
+    It begins with the eigenvectors that are there, of a B that was similar: one or two sweeps are left.
+    """
+    b0, b1, b2, b3, b4, b5 = B
+    u0, u1, u2 = load_vector(frames, k, 3)
+    v0, v1, v2 = load_vector(frames, k, 6)
+    size = 1.5 - 0.5 * (u0 * u0 + u1 * u1 + u2 * u2)  # 1 / |u| near 1: round-off does not gather from step to step
+    u0, u1, u2 = u0 * size, u1 * size, u2 * size
+    along = u0 * v0 + u1 * v1 + u2 * v2
+    v0, v1, v2 = v0 - along * u0, v1 - along * u1, v2 - along * u2
+    size = 1.5 - 0.5 * (v0 * v0 + v1 * v1 + v2 * v2)
+    v0, v1, v2 = v0 * size, v1 * size, v2 * size
+    w0, w1, w2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+    p0, p1, p2 = b0 * u0 + b5 * u1 + b4 * u2, b5 * u0 + b1 * u1 + b3 * u2, b4 * u0 + b3 * u1 + b2 * u2
+    q0, q1, q2 = b0 * v0 + b5 * v1 + b4 * v2, b5 * v0 + b1 * v1 + b3 * v2, b4 * v0 + b3 * v1 + b2 * v2
+    r0, r1, r2 = b0 * w0 + b5 * w1 + b4 * w2, b5 * w0 + b1 * w1 + b3 * w2, b4 * w0 + b3 * w1 + b2 * w2
+    turned = (
+        u0 * p0 + u1 * p1 + u2 * p2, v0 * q0 + v1 * q1 + v2 * q2, w0 * r0 + w1 * r1 + w2 * r2,
+        v0 * r0 + v1 * r1 + v2 * r2, u0 * r0 + u1 * r1 + u2 * r2, u0 * q0 + u1 * q1 + u2 * q2,
+    )  # fmt: skip
+    values, u, v, w = _sweeps(turned, (u0, u1, u2), (v0, v1, v2), (w0, w1, w2), _ROUND_OFF_WARM, 1.0)
+    store_vector(frames, k, 0, values)
+    store_vector(frames, k, 3, u)
+    store_vector(frames, k, 6, v)
+    store_vector(frames, k, 9, w)
+    return values
 
 
 @formula

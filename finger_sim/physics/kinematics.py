@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import Floats, Ints
 from .compile import formula, kernel, stage
-from .jacobi import Vector, turn_columns
+from .jacobi import Vector, load_vector, turn_columns
 from .lanes import BATCH, bits, gather3, load8, store8
 from .model import Model, State
 from .polar import Matrix, polar, store_matrix
@@ -172,12 +172,20 @@ def turned_far(model: Model, state: State) -> bool:
 @formula
 def edges_times(d1: Vector, d2: Vector, d3: Vector, gradients: Floats, b: int) -> Matrix:
     """Σ d_n r_nᵀ, by rows, of edges d_n = w_n − w_4: F of positions (Eq. 3), Ḟ of velocities."""
-    a0, a1, a2 = d1
-    b0, b1, b2 = d2
-    c0, c1, c2 = d3
-    r0, r1, r2 = load8(gradients, b, 0), load8(gradients, b, 1), load8(gradients, b, 2)
-    s0, s1, s2 = load8(gradients, b, 3), load8(gradients, b, 4), load8(gradients, b, 5)
-    t0, t1, t2 = load8(gradients, b, 6), load8(gradients, b, 7), load8(gradients, b, 8)
+    return products(
+        d1, load_vector(gradients, b, 0), d2, load_vector(gradients, b, 3), d3, load_vector(gradients, b, 6)
+    )
+
+
+@formula
+def products(a: Vector, r: Vector, b: Vector, s: Vector, c: Vector, t: Vector) -> Matrix:
+    """a rᵀ + b sᵀ + c tᵀ, by rows."""
+    a0, a1, a2 = a
+    b0, b1, b2 = b
+    c0, c1, c2 = c
+    r0, r1, r2 = r
+    s0, s1, s2 = s
+    t0, t1, t2 = t
     return (
         a0 * r0 + b0 * s0 + c0 * t0, a0 * r1 + b0 * s1 + c0 * t1, a0 * r2 + b0 * s2 + c0 * t2,
         a1 * r0 + b1 * s0 + c1 * t0, a1 * r1 + b1 * s1 + c1 * t1, a1 * r2 + b1 * s2 + c1 * t2,

@@ -118,9 +118,26 @@ def gather3(a: Floats, index: Ints, i: int, k: int) -> tuple[Lanes, Lanes, Lanes
     return rows[:, 0].copy(), rows[:, 1].copy(), rows[:, 2].copy()
 
 
+def gather3x4(a: Floats, index: Ints, i: int, k: int) -> tuple[Lanes, Lanes, Lanes]:
+    """The same of four vectors, n from the k-th four of entry i of `index`."""
+    rows = a[_place(index, i, k, 4)]
+    return rows[:, 0].copy(), rows[:, 1].copy(), rows[:, 2].copy()
+
+
+def pick4(a: Floats, index: Ints, i: int, k: int) -> Lanes:
+    """Four numbers a[n], n as in `gather3x4`."""
+    return a[_place(index, i, k, 4)].copy()
+
+
 def add3(a: Floats, index: Ints, i: int, k: int, x: Lanes, y: Lanes, z: Lanes) -> None:
     """Add eight vectors to a[n, :3], one after the other; n as in `gather3`. a[n, 3] is left alone."""
     for l, n in enumerate(_place(index, i, k, 8)):
+        a[n, :3] += x[l], y[l], z[l]
+
+
+def add3x4(a: Floats, index: Ints, i: int, k: int, x: Lanes, y: Lanes, z: Lanes) -> None:
+    """The same of four vectors, n as in `gather3x4`."""
+    for l, n in enumerate(_place(index, i, k, 4)):
         a[n, :3] += x[l], y[l], z[l]
 
 
@@ -128,6 +145,11 @@ def scatter3(a: Floats, i: int, k: int, x: Lanes, y: Lanes, z: Lanes) -> None:
     """Write eight vectors to a[8 i + l, k, :3], a (8 …, K, 4); a[…, 3] becomes 0."""
     a[8 * i : 8 * i + 8, k, 0], a[8 * i : 8 * i + 8, k, 1] = x, y
     a[8 * i : 8 * i + 8, k, 2], a[8 * i : 8 * i + 8, k, 3] = z, 0.0
+
+
+def scatter3x4(a: Floats, k: int, x: Lanes, y: Lanes, z: Lanes) -> None:
+    """Write four vectors to a[l, k, :3], a (4, K, 4); a[…, 3] becomes 0."""
+    a[:4, k, 0], a[:4, k, 1], a[:4, k, 2], a[:4, k, 3] = x, y, z, 0.0
 
 
 def fill4(a: Floats, i: int, k: int) -> Lanes:

@@ -19,14 +19,18 @@ from numba.core.typing.templates import ConcreteTemplate, infer_global, signatur
 from .lanes import (
     absolute,
     add3,
+    add3x4,
     bits,
     fill4,
     gather3,
+    gather3x4,
     lane,
     load4,
     load8,
     maximum,
+    pick4,
     scatter3,
+    scatter3x4,
     splat4,
     splat8,
     sqrt,
@@ -311,6 +315,69 @@ def _lower_scatter3(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     for l, row in enumerate(_padded_rows(builder, *args[3:])):
         t = builder.add(first, ir.Constant(ir.IntType(64), l))
         _store(builder, _pointer(context, builder, sig.args[0], args[0], t, k, 4), row)
+    return context.get_dummy_value()
+
+
+def _four_addresses(context: Any, builder: Any, sig: Any, args: Any, width: int) -> list[Any]:
+    """Addresses of the four entries of args[0], of `width` numbers, that the k-th four of args[1][i] name."""
+    i, k = (_index(context, builder, sig, args, n) for n in (2, 3))
+    numbers = _as(builder, _pointer(context, builder, sig.args[1], args[1], i, k, 4), ir.IntType(64))
+    zero = ir.Constant(ir.IntType(64), 0)
+    entries = (builder.load(builder.gep(numbers, [ir.Constant(_I32, l)])) for l in range(4))
+    return [_pointer(context, builder, sig.args[0], args[0], n, zero, width) for n in entries]
+
+
+def _transposed4(builder: Any, a: Any, b: Any, c: Any, d: Any) -> list[Any]:
+    """The columns of four rows of four."""
+    low = [_shuffle(builder, p, q, [0, 4, 2, 6]) for p, q in ((a, b), (c, d))]
+    high = [_shuffle(builder, p, q, [1, 5, 3, 7]) for p, q in ((a, b), (c, d))]
+    return [_shuffle(builder, p, q, order) for order in ([0, 1, 4, 5], [2, 3, 6, 7]) for p, q in (low, high)]
+
+
+@_function(
+    gather3x4,
+    lambda a, index, i, k: types.UniTuple(LANES4, 3),  # type: ignore[attr-defined]
+    (types.Array, types.Array, types.Integer, types.Integer),
+)
+def _lower_gather3x4(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    a, b, c, d = (_load(builder, pointer, 4) for pointer in _four_addresses(context, builder, sig, args, 4))
+    return context.make_tuple(builder, sig.return_type, _transposed4(builder, a, b, c, d)[:3])
+
+
+@_function(pick4, lambda a, index, i, k: LANES4, (types.Array, types.Array, types.Integer, types.Integer))
+def _lower_pick4(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    vector = ir.Constant(ir.VectorType(ir.DoubleType(), 4), ir.Undefined)
+    for l, pointer in enumerate(_four_addresses(context, builder, sig, args, 1)):
+        number = builder.load(_as(builder, pointer, ir.DoubleType()))
+        vector = builder.insert_element(vector, number, ir.Constant(_I32, l))
+    return vector
+
+
+@_function(
+    add3x4,
+    lambda a, index, i, k, x, y, z: types.none,
+    (types.Array, types.Array, types.Integer, types.Integer, LANES4, LANES4, LANES4),
+)
+def _lower_add3x4(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    x, y, z = args[4:]
+    rows = _transposed4(builder, x, y, z, ir.Constant(x.type, [0.0] * 4))
+    for pointer, row in zip(_four_addresses(context, builder, sig, args, 4), rows, strict=True):
+        _store(builder, pointer, builder.fadd(_load(builder, pointer, 4), row, flags=_FLAGS))
+    return context.get_dummy_value()
+
+
+@_function(
+    scatter3x4,
+    lambda a, k, x, y, z: types.none,
+    (types.Array, types.Integer, LANES4, LANES4, LANES4),
+)
+def _lower_scatter3x4(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    k = _index(context, builder, sig, args, 1)
+    x, y, z = args[2:]
+    rows = _transposed4(builder, x, y, z, ir.Constant(x.type, [0.0] * 4))
+    for l, row in enumerate(rows):
+        entry = ir.Constant(ir.IntType(64), l)
+        _store(builder, _pointer(context, builder, sig.args[0], args[0], entry, k, 4), row)
     return context.get_dummy_value()
 
 

@@ -32,6 +32,7 @@ class Patches(NamedTuple):
     volume: Floats  # (P,) V_p [m³]
     lane: Ints  # (B, 8) patch of the tetrahedra in lanes
     tet_place: Ints  # (T, 4) entries of a tetrahedron's nodes in its patch
+    lane_entry: Ints  # (B, 4, 8) the same in lanes
     tet_share: Floats  # (T,) vol / V_p
     start: Ints  # (P + 1,) first entry of each patch
     node: Ints  # (N,) nodes
@@ -71,6 +72,8 @@ class Model(NamedTuple):
     lane_slot: Ints  # (B, 4, 8) their slots
     lane_gradients: Floats  # (B, 12, 8) their r_1 … r_4
     lane_volume: Floats  # (B, 8)
+    lane_mobility: Floats  # (B, 4, 8) 1 / mass of their nodes, 0: driven
+    lane_metric: Floats  # (B, 12, 8) Σ r_n r_nᵀ over their free nodes, 00 11 22 12 02 01; and over these nodes' masses
     lane_driven: Ints  # (B,) 1 where a node of a lane is driven and another free
     assembly: Ints  # (k, 4) contributions to A: tetrahedron, its nodes at the row and the column, block of A
     assembly_dot: Floats  # (k,) r_a · r_b of their nodes [1/m²]
@@ -92,6 +95,7 @@ class Model(NamedTuple):
     stretch_room: Floats  # (3,) a⁺, ∞: free
     compress_room: Floats  # (3,) a⁻, ∞: free
     limit_factors: Floats  # (2, 9) what `tensor` weighs strain with: see tensor_limit.limit_factors
+    mirrored: bool  # both sides have the same rooms: −A E A is decomposed with A E A
     isochoric_strain: Floats  # (2, 3) stretch, compression along e_j that volume and the other limits allow, ∞: any
     limit_compliance: float  # 1 / (κ E) [1/Pa]: divided by a volume, a limit row's compliance [1/(N m)]; 0: rigid
     limit_inertia: float  # a limit is at least so many times as stiff as the inertia behind it in one step
@@ -179,10 +183,15 @@ class Tensor(NamedTuple):
     """What the `tensor` limit looks at (tensor_limit.py)."""
 
     bound: Floats  # (B, 2, 8) no eigenvalue of A E A is above (stretch) or, for compression, of −A E A
-    near: Ints  # (near,) 2 t + side of what may be at a limit: sides 0 stretch, 1 compression
-    near_count: Ints  # (1,) how many they are
-    eigen: Floats  # (near / 8, 12, 8) their eigenvalues and eigenvectors (by columns), lanes in the order of `near`
-    gathered: Floats  # (32, 8) scratch: what eight of them are made of, side by side
+    near: Floats  # (B, 2, 8) 1 where a tetrahedron may be at a limit of that side: 0 stretch, 1 compression
+    frames: Floats  # (2 B, 12, 8) eigenvalues and eigenvectors (by columns) at a batch and side: see pairs_of
+    top: Floats  # (1,) the largest strain/limit of what was decomposed
+    first: Ints  # (2 B + 1,) first group of rows of each four tetrahedra (tensor_rows.py)
+    key: Ints  # (groups,) 2 · direction + side
+    slope: Floats  # (groups, 9, 4) ∂C/∂F, world by material axes; with patches without its own volume strain
+    row: Floats  # (groups, 3, 4) what else a row is: see tensor_rows.CONSTANT …
+    lam: Floats  # (groups, 4) row forces; 0 where there is no row
+    best: Floats  # (groups, 4) those of the least residual so far
     lane_J: Floats  # (8, 4, 4) scratch: a gradient of each of them
     turning_count: Ints  # (1,) how many squares A has at driven nodes (turning.py), as w g gᵀ:
     turning_tet: Ints  # (k,) whose
@@ -255,7 +264,7 @@ class State(NamedTuple):
     pressure: Floats  # (B, 8) the same of the patch of each tetrahedron
     G: Floats  # (N, 4) gradient of θ_p at each node of each patch [1/m], world
     patch_rate: Floats  # (P,) θ̇_p of velocities [1/s]
-    patch_size: Floats  # (P, 2) Σ |G_n|² over the free nodes of each patch [1/m²], and over their masses [1/(m² kg)]
+    patch_size: Floats  # (2, P) Σ |G_n|² over the free nodes of each patch [1/m²], and over their masses [1/(m² kg)]
     patch_force: Floats  # (P,) sums over the limit rows of each patch
     patch_cross: Floats  # (N, 4) the same at its nodes
     rhs: Floats  # (slots, 4)

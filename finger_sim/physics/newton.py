@@ -26,12 +26,14 @@ from ..arrays import Floats
 from .bone import bone_residual
 from .border import solve_all
 from .clock import FACTOR, SOLVE, lap, seconds
-from .compile import stage
+from .compile import formula, stage
 from .dilatation import add_patch_forces, patch_rates
 from .elasticity import slot_velocities
 from .hessian import NONE, OF_A, OF_ANOTHER, factor_elastic, refactor
 from .lanes import load4, splat4, store4, sum3
+from .methods import TENSOR
 from .model import Model, State
+from .tensor_rows import copy_groups, tensor_forces
 from .vectors import add, clear, copy, copy_first, inner, subtract_product
 from .work import CORRECTIONS
 
@@ -52,7 +54,7 @@ def newton(
     The residual is the largest force missing at any node [N], relative to the largest row force.
     """
     began = seconds(state.time) if model.deadline > 0.0 else 0.0
-    own, lam, best = state.newton, state.lam, state.best
+    own = state.newton
     change, tried, direction, best_change, factors = own.change, own.tried, own.direction, own.best_change, own.factors
     if anew and factors[0] == OF_A:
         factors[0] = OF_ANOTHER
@@ -73,7 +75,7 @@ def newton(
     stale = factors[0] == NONE or model.max_iterations <= _WORTH  # of few, none is spent on old factors
     least, least_missing, iterations, stalled = residual, missing, 0, 0
     clear(best_change)
-    copy_first(best, lam, rows)
+    keep(model, state, contacts, rows)
     while residual > tolerance and iterations < model.max_iterations:
         if model.deadline > 0.0 and iterations > 0 and seconds(state.time) - began > model.deadline:
             break
@@ -105,15 +107,35 @@ def newton(
             stalled = 0 if missing < _PROGRESS * least_missing else stalled
             least, least_missing = residual, missing
             copy(best_change, change)
-            copy_first(best, lam, rows)
+            keep(model, state, contacts, rows)
         if stalled >= _STALLED or not missing < math.inf:
             break
         stale = residual >= before or math.log(tolerance / residual) < _WORTH * math.log(residual / before)
-    copy_first(lam, best, rows)
+    take_back(model, state, contacts, rows)
     if model.has_bone:
         bone_residual(model, state, h, best_change, own.next_residual)
     add_to_velocities(model, state, best_change)
     return iterations, least, True
+
+
+@formula
+def keep(model: Model, state: State, contacts: int, rows: int) -> None:
+    """The row forces of the iterate with the least force missing so far."""
+    if model.projection == TENSOR:
+        copy_first(state.best, state.lam, contacts)
+        copy_groups(state.tensor, state.tensor.best, state.tensor.lam)
+    else:
+        copy_first(state.best, state.lam, rows)
+
+
+@formula
+def take_back(model: Model, state: State, contacts: int, rows: int) -> None:
+    """They are those of the step."""
+    if model.projection == TENSOR:
+        copy_first(state.lam, state.best, contacts)
+        copy_groups(state.tensor, state.tensor.lam, state.tensor.best)
+    else:
+        copy_first(state.lam, state.best, rows)
 
 
 @stage
@@ -169,7 +191,10 @@ def evaluate(model: Model, state: State, h: float, contacts: int, rows: int, cha
     """
     r, nf = state.newton.next_residual, model.free.shape[0]
     pressed = contact_forces(model, state, h, contacts, change)
-    largest = max(pressed, limit_forces(model, state, h, contacts, rows, change))
+    if model.projection == TENSOR:
+        largest = max(pressed, tensor_forces(model, state, h, change))
+    else:
+        largest = max(pressed, limit_forces(model, state, h, contacts, rows, change))
     store4(r, nf, 0, splat4(0.0))
     if model.has_bone:
         bone_residual(model, state, h, change, r)

@@ -22,7 +22,7 @@ Matrix = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]  #
 Quaternion = tuple[Lanes, Lanes, Lanes, Lanes]  # x y z w, at length one
 
 _ITERATIONS = 6
-_CLOSE = 1e-12  # |w|² after which the error, of order |w|³, is round-off
+_CLOSE = 1e-10  # |w|² after which the error, of order |w|³, is round-off
 
 
 rotation = formula(matrix_entries)

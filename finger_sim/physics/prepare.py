@@ -124,13 +124,14 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
     dot = np.einsum("ki,ki->k", gradients[t, row], gradients[t, column])
     np.add.at(laplace, block, volume[t] * dot)
     surface_nodes = np.unique(body.surface).astype(np.int64)
+    mobility = np.append(1.0 / mass[slots.free], np.zeros(slots.total - nf))
     poisson = tissue.poisson
     return Model(
         tets=tets,
         gradients=np.ascontiguousarray(gradients),
         volume=volume,
         mass=mass,
-        mobility=np.append(1.0 / mass[slots.free], np.zeros(slots.total - nf)),
+        mobility=mobility,
         length=length,
         free=slots.free,
         slot=slots.of_node,
@@ -142,7 +143,7 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         pair_column=blocks.pair_column,
         tet_order=np.argsort(slots.of_tet.min(axis=1), kind="stable"),
         tet_moves=(slots.of_tet < nf).sum(axis=1),
-        **_in_lanes(body, rest, slots),
+        **_in_lanes(body, rest, slots, mobility),
         assembly=blocks.assembly,
         assembly_dot=dot,
         block_row=blocks.row,
@@ -183,11 +184,13 @@ def _patches(found: Partition, volume: Floats, tissue: Tissue, slots: _Slots, bl
     """What a Model has of patches."""
     whole, share = shares(found, volume)
     lanes = _side_by_side(found.of_tet) if len(whole) else np.empty((0, LANES), np.int64)
+    entries = _side_by_side(found.tet_place) if len(whole) else np.empty((0, 4, LANES), np.int64)
     return Patches(
         bulk=tissue.bulk,
         volume=whole,
         lane=np.ascontiguousarray(lanes),
         tet_place=found.tet_place,
+        lane_entry=np.ascontiguousarray(entries),
         tet_share=share,
         start=found.start,
         node=found.node,
@@ -215,17 +218,28 @@ def _slots(body: Body, is_free: Any, patches: Partition) -> _Slots:
     return _Slots(pattern, free, slot, slot[body.tets], int(slot.max()) + 1 if body.yields else nf + 1)
 
 
-def _in_lanes(body: Body, rest: Rest, slots: _Slots) -> dict[str, Any]:
+def _in_lanes(body: Body, rest: Rest, slots: _Slots, mobility: Floats) -> dict[str, Any]:
     """What a Model has of its tetrahedra in lanes."""
     moves = (slots.of_tet < len(slots.free)).sum(axis=1)
+    mobile = mobility[slots.of_tet]
     filled = np.concatenate([rest.volume, np.zeros(-len(body.tets) % LANES)])
     return {
         "lane_node": np.ascontiguousarray(_side_by_side(body.tets)),
         "lane_slot": np.ascontiguousarray(_side_by_side(slots.of_tet)),
         "lane_gradients": aligned_copy(_side_by_side(rest.gradients.reshape(-1, 12))),
         "lane_volume": aligned_copy(_side_by_side(filled)),
+        "lane_mobility": aligned_copy(_side_by_side(mobile)),
+        "lane_metric": aligned_copy(
+            _side_by_side(np.concatenate([_metric(rest, mobile > 0.0), _metric(rest, mobile)], 1))
+        ),
         "lane_driven": _side_by_side((moves > 0) & (moves < 4) & (not body.yields)).any(axis=1).astype(np.int64),
     }
+
+
+def _metric(rest: Rest, weight: Any) -> Floats:
+    """Σ w_n r_n r_nᵀ of each tetrahedron, (T, 6) in the order 00 11 22 12 02 01; weight (T, 4)."""
+    whole = np.einsum("tn,tni,tnj->tij", weight.astype(float), rest.gradients, rest.gradients)
+    return np.asarray(whole[:, [0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]])
 
 
 def _side_by_side(values: Any) -> Any:
@@ -247,6 +261,7 @@ def _limits(strains: Strains, poisson: float) -> dict[str, Any]:
         "stretch_room": strains.stretch_room,
         "compress_room": strains.compress_room,
         "limit_factors": factors,
+        "mirrored": bool(np.allclose(factors[0, :6], -factors[1, :6], rtol=1e-9, atol=0.0)),
         "isochoric_strain": isochoric,
     }
 

@@ -1,9 +1,4 @@
-"""`Ready`: a Model and a State as compiled code holds them, so that a call passes two pointers.
-
-Handing the hundred arrays of the two records over takes longer than some stages of a step: it is done once. In kernels
-`model` and `state` have the fields of the records; a record within a record is a pointer of its own. A field that is an
-array is best fetched once, before a loop.
-"""
+"""`Ready`: a Model and a State as compiled code holds them, and what is done with the two (records.py)."""
 
 from __future__ import annotations
 
@@ -12,47 +7,19 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from numba.core import types
-from numba.experimental import structref
+from numba import types
 
 from ..arrays import Floats
-from .compile import kernel
 from .kinematics import kinematics
 from .methods import NONE, TENSOR
-from .model import Model, Newton, Patches, Pgs, Principal, State, Tensor, Yielding
+from .model import Model, State
+from .records import Pointed
 from .step import step
 from .strain_limits import find_bounded, strain_ratio
 from .tensor_limit import all_strains
 
-
-def _pointers_to(record: Any) -> Callable[[Any], Any]:
-    """What puts a record of that class behind a pointer that compiled code can follow."""
-    name = f"_{record.__name__}Pointer"
-    kind = structref.register(type(f"{name}Type", (types.StructRef,), {"__module__": __name__}))  # type: ignore[attr-defined]
-    proxy = type(name, (structref.StructRefProxy,), {"__module__": __name__})
-    globals().update({kind.__name__: kind, name: proxy})  # kernels in the cache look types up by name
-    structref.define_boxing(kind, proxy)
-    structref.define_constructor(proxy, kind, list(record._fields))
-    structref.define_attributes(kind)
-
-    @kernel
-    def pointer(fields: Any) -> Any:
-        return proxy(*fields)
-
-    return pointer
-
-
-_POINTERS = {
-    record: _pointers_to(record) for record in (Model, State, Patches, Newton, Pgs, Yielding, Principal, Tensor)
-}
-KERNELS = (*_POINTERS.values(), step, all_strains)
-"""What `ready`, `advance`, `refresh` and `measure_strains` call: these, and what these call."""
-
-
-def _pointer(record: Any) -> Any:
-    """The record behind a pointer, and so those within it; arrays are shared, not copied."""
-    within = {name: _pointer(part) for name, part in record._asdict().items() if type(part) in _POINTERS}
-    return _POINTERS[type(record)](record._replace(**within))
+KERNELS = (step, all_strains)
+"""What `advance` and `measure_strains` call."""
 
 
 class Ready(NamedTuple):
@@ -62,18 +29,21 @@ class Ready(NamedTuple):
     state: Any
     arrays: State
     projection: int
+    run: Callable[[Any, Any, Floats, float], None]  # step.step; compiled, without the search for a fitting version
 
 
 def ready(model: Model, state: State) -> Ready:
-    """Both behind pointers. A changed Model (with_live_values) needs a new one; arrays are shared, not copied."""
+    """Both as addresses. A changed Model (with_live_values) needs a new one; arrays are shared, not copied."""
     if numba.config.DISABLE_JIT:
-        return Ready(model, state, state, model.projection)
-    return Ready(_pointer(model), _pointer(state), state, model.projection)
+        return Ready(model, state, state, model.projection, step)
+    pointed, body = Pointed(model), Pointed(state)
+    run = step.compile((pointed.kind, body.kind, types.float64[:, ::1], types.float64))  # type: ignore[attr-defined]
+    return Ready(pointed, body, state, model.projection, run)
 
 
 def advance(both: Ready, targets: Floats, h: float) -> None:
-    """See step.step."""
-    step(both.model, both.state, targets, h)
+    """See step.step. targets: C-contiguous."""
+    both.run(both.model, both.state, targets, h)
 
 
 def refresh(both: Ready) -> None:
@@ -82,6 +52,8 @@ def refresh(both: Ready) -> None:
     state.quaternion[:, :3] = 0.0
     state.quaternion[:, 3] = 1.0
     state.tensor.bound[:] = np.inf
+    state.tensor.near[:] = 0.0
+    state.tensor.frames[:, 3:] = np.eye(3).reshape(9, 1)
     kinematics(both.model, both.state)
     if both.projection != NONE:
         find_bounded(both.model, both.state)

@@ -1,4 +1,4 @@
-"""What all limit rows of a step have in common: how far they give, how they are judged, their warm start."""
+"""What all limit rows on principal stretches have in common: how far they give, their scale, their warm start."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def finish_rows(model: Model, state: State, h: float, first: int, rows: int) -> 
             force += size if slot < nf else 0.0
         if patched:
             p, part = patches[tet // 8, tet % 8], parts[row]
-            force += part * part * sizes[p, 0]
-            moved += part * part * sizes[p, 1]
+            force += part * part * sizes[0, p]
+            moved += part * part * sizes[1, p]
             for n in range(4):
                 slot = row_slot[row, n]
                 if slot < nf:

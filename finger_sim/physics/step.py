@@ -10,20 +10,19 @@ from .bone import aim_bone, move_bone, place_driven
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
 from .contact import contact_rows, deepest, store_contact
-from .dilatation import share_out
 from .elasticity import assemble, limits_changed
 from .hessian import factor_elastic
 from .kinematics import kinematics, turned_far
-from .lanes import load4, splat8, store4, store8, sum3
+from .lanes import load4, store4, sum3
 from .linear_solver import solve
-from .locking import STRAINS
 from .methods import NEWTON, NONE, PGS, TENSOR
 from .model import Model, State
 from .newton import newton
+from .observed import observe_limits
 from .pgs import apply_rows, solve_rows
 from .rows import finish_rows
-from .strain_limits import find_bounded, limit_rows, strain_ratio
-from .tensor_limit import DIRECTIONS, greatest_strain, tensor_rows
+from .strain_limits import find_bounded, limit_rows
+from .tensor_rows import pack_rows, tensor_rows
 from .touched import inverse_between, touched_nodes
 from .vectors import add, copy
 from .work import CONTACT_ROWS, LIMITS, LINEAR
@@ -149,12 +148,15 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
     rows = contacts
     if model.projection != NONE:  # Eq. 9-12, linearised (Eq. 13-18)
         if model.projection == TENSOR:
-            rows = tensor_rows(model, state, h, contacts)
+            rows = contacts + tensor_rows(model, state, h)
+            if model.method == PGS:
+                rows = pack_rows(model, state, contacts, False)
         else:
             rows = limit_rows(model, state, h, contacts)
         if rows < 0:
             rows, status = state.lam.shape[0], _ROW_LIMIT
-        finish_rows(model, state, h, contacts, rows)
+        if model.projection != TENSOR:
+            finish_rows(model, state, h, contacts, rows)
     work[CONTACT_ROWS] += contacts
     work[LIMITS] += rows - contacts
     lap(state.laps, state.time, ROWS)
@@ -275,70 +277,13 @@ def observe(model: Model, state: State, contacts: int, rows: int) -> None:
             for i in range(6):
                 state.wrench[i] += state.yielding.stop[8] * state.yielding.stop[i]
     if model.projection != NONE:
-        if model.projection == TENSOR:
-            result[STRAIN_RATIO] = greatest_strain(model, state)
-        else:
-            strain_ratio(model, state)
-            result[STRAIN_RATIO] = state.strain_ratio.max()
-        active_rows, warm, lam = state.active_rows, state.warm_limit, state.lam
-        row_tet, row_key, row_side = state.row_tet, state.row_key, state.row_side
-        keeps = model.method == PGS
-        counted = 2 * DIRECTIONS if model.projection == TENSOR else 9
-        if keeps:
-            warm[:] = 0.0
-        limit_force = state.limit_force
-        follows = limit_force.shape[0] > 0
-        for b in range(limit_force.shape[0]):
-            store8(limit_force, b, 0, splat8(0.0))
-        active_rows[:] = 0
-        limit_rows = limited_tets = 0
-        patched = follows and model.patches.volume.shape[0] > 0
-        lanes, sums, row_part = model.patches.lane, state.patch_force, state.row_part
-        if patched:
-            sums[:] = 0.0
-        for row in range(contacts, rows):
-            if lam[row] > 0.0:
-                t, key = row_tet[row], row_key[row]
-                if follows:
-                    limit_force[t // 8, t % 8] += lam[row]
-                    if patched:
-                        sums[lanes[t // 8, t % 8]] += abs(row_part[row]) * lam[row]
-                if keeps:
-                    warm[t, key] = lam[row] * row_side[row]
-                if key < counted:
-                    limit_rows += 1
-                    limited_tets += active_rows[t] == 0
-                    active_rows[t] += 1
-        if patched:
-            share_out(model, state)
-        result[LOCKED_TETS] = locked = locked_tets(model, state)
-        if locked > 0 or limit_rows > 3 * model.free.shape[0]:
+        limits = observe_limits(model, state, contacts, rows)
+        result[STRAIN_RATIO], result[LIMIT_ROWS], result[LIMITED_TETS], result[LOCKED_TETS] = limits
+        if result[LOCKED_TETS] > 0.0 or result[LIMIT_ROWS] > 3 * model.free.shape[0]:
             status |= _LOCKED
-        result[LIMIT_ROWS], result[LIMITED_TETS] = limit_rows, limited_tets
-        state.held_tets[0] = limited_tets
+        state.held_tets[0] = int(result[LIMITED_TETS])
     if result[STRAIN_RATIO] > _EXCEEDED:
         status |= _LIMIT_EXCEEDED
     if state.inverted[0] > 0:
         status |= _INVERTED
     result[STATUS] = status
-
-
-@stage
-def locked_tets(model: Model, state: State) -> int:
-    """How many tetrahedra at a limit are over-constrained.
-
-    More rows hold them than they have ways to deform, or they are strained further along an axis than the others'
-    limits allow at constant volume.
-    """
-    active_rows, moves, allowed = state.active_rows, model.tet_moves, model.isochoric_strain
-    strains = state.limit_strain
-    count = 0
-    for t in range(active_rows.shape[0]):
-        if active_rows[t] == 0:
-            continue
-        locked = active_rows[t] > min(STRAINS, 3 * moves[t])
-        for j in range(3):
-            strain = strains[t // 8, j, t % 8]
-            locked |= strain > allowed[0, j] or -strain > allowed[1, j]
-        count += locked
-    return count

@@ -24,41 +24,17 @@ import math
 
 import numpy as np
 
-from ..arrays import Floats, Ints
+from ..arrays import Floats
 from .compile import formula, kernel, stage
-from .dilatation import mean_strains, patch_rates
-from .jacobi import Symmetric, Vector, eigen, load_symmetric, store_vector
-from .lanes import (
-    Lanes,
-    absolute,
-    bits,
-    lane,
-    load4,
-    load8,
-    maximum,
-    scatter3,
-    splat8,
-    sqrt,
-    store4,
-    store8,
-    sum3,
-    where,
-)  # fmt: skip
+from .dilatation import mean_strains
+from .jacobi import Symmetric, Vector, eigen, eigen_from, load_symmetric
+from .lanes import Lanes, absolute, bits, lane, load8, maximum, splat8, sqrt, store8, where
 from .model import Model, State
 from .polar import Matrix, load_matrix, polar
 from .work import LIMITS_SEEN
 
 NEAR = 0.85  # strain/limit from which on a row is formed, now or after a step at the velocities of now
-_WORTH = 0.5  # eigenvalues below are not looked at any closer
-# Strain/limit that two eigenvalues near their limit may differ by to be taken as one. More makes rows that hold
-# nothing; less lets strain through where the eigenvectors turn by more in a step.
-_COINCIDE = 0.1
-# Directions of the rows: the eigenvectors, then those halfway between two of them, on either side.
-_FIRST, _SECOND = (0, 1, 2, 0, 0, 0, 0, 1, 1), (0, 1, 2, 1, 1, 2, 2, 2, 2)
-_SIGN = (1.0, 1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0)
-DIRECTIONS = 3  # of them are eigenvectors
 _LEAST_DET = 1e-2  # of tr(U) I − U, 8 at rest: it vanishes where s_a = −s_b
-_NO_GRADIENT = 1e-20  # |J|² at free nodes, in units of the tetrahedra's size, of a row that nothing can move
 LEAST_ROOM = 1e-6  # rooms below count as this
 
 
@@ -85,32 +61,45 @@ def upper_bound(B: Symmetric) -> Lanes:
 
 
 @formula
-def gradient(R: Matrix, E: Symmetric, y: Vector) -> Matrix:
-    """∂λ/∂F = R (y yᵀ − [h]×) by rows."""
+def spin_of(E: Symmetric) -> Symmetric:
+    """(tr(U) I − U)⁻¹ of U = I + E."""
     e0, e1, e2, e3, e4, e5 = E
-    y0, y1, y2 = y
-    u0, u1, u2 = e0 + 1.0, e1 + 1.0, e2 + 1.0
-    p0, p1, p2 = u0 * y0 + e5 * y1 + e4 * y2, e5 * y0 + u1 * y1 + e3 * y2, e4 * y0 + e3 * y1 + u2 * y2
-    z0, z1, z2 = p1 * y2 - p2 * y1, p2 * y0 - p0 * y2, p0 * y1 - p1 * y0
-    return turned(R, E, (y0 * y0, y1 * y1, y2 * y2, y1 * y2, y0 * y2, y0 * y1), (z0, z1, z2))
-
-
-@formula
-def turned(R: Matrix, E: Symmetric, S: Symmetric, z: Vector) -> Matrix:
-    """R (S − [h]×) by rows, h = (tr(U) I − U)⁻¹ z."""
-    e0, e1, e2, e3, e4, e5 = E
-    s0, s1, s2, s3, s4, s5 = S
-    z0, z1, z2 = z
     u0, u1, u2 = e0 + 1.0, e1 + 1.0, e2 + 1.0
     t0, t1, t2 = u1 + u2, u0 + u2, u0 + u1
     c00, c01, c02 = t1 * t2 - e3 * e3, e4 * e3 + e5 * t2, e5 * e3 + e4 * t1
     c11, c12, c22 = t0 * t2 - e4 * e4, e5 * e4 + t0 * e3, t0 * t1 - e5 * e5
-    over = 1.0 / maximum(t0 * c00 - e5 * c01 - e4 * c02, splat8(_LEAST_DET))
-    h0, h1, h2 = (
-        over * (c00 * z0 + c01 * z1 + c02 * z2),
-        over * (c01 * z0 + c11 * z1 + c12 * z2),
-        over * (c02 * z0 + c12 * z1 + c22 * z2),
-    )
+    over = 1.0 / maximum(t0 * c00 - e5 * c01 - e4 * c02, _LEAST_DET)
+    return over * c00, over * c11, over * c22, over * c12, over * c02, over * c01
+
+
+@formula
+def times(S: Symmetric, z: Vector) -> Vector:
+    """S z."""
+    s0, s1, s2, s3, s4, s5 = S
+    z0, z1, z2 = z
+    return s0 * z0 + s5 * z1 + s4 * z2, s5 * z0 + s1 * z1 + s3 * z2, s4 * z0 + s3 * z1 + s2 * z2
+
+
+@formula
+def leaning(E: Symmetric, y: Vector) -> Vector:
+    """U y × y."""
+    y0, y1, y2 = y
+    p0, p1, p2 = times(E, y)
+    return (p1 * y2 - p2 * y1), (p2 * y0 - p0 * y2), (p0 * y1 - p1 * y0)
+
+
+@formula
+def square(y: Vector) -> Symmetric:
+    """y yᵀ."""
+    y0, y1, y2 = y
+    return y0 * y0, y1 * y1, y2 * y2, y1 * y2, y0 * y2, y0 * y1
+
+
+@formula
+def turned(R: Matrix, S: Symmetric, h: Vector) -> Matrix:
+    """R (S − [h]×) by rows."""
+    s0, s1, s2, s3, s4, s5 = S
+    h0, h1, h2 = h
     g00, g01, g02 = s0, s5 + h2, s4 - h1
     g10, g11, g12 = s5 - h2, s1, s3 + h0
     g20, g21, g22 = s4 + h1, s3 - h0, s2
@@ -120,6 +109,14 @@ def turned(R: Matrix, E: Symmetric, S: Symmetric, z: Vector) -> Matrix:
         r3 * g00 + r4 * g10 + r5 * g20, r3 * g01 + r4 * g11 + r5 * g21, r3 * g02 + r4 * g12 + r5 * g22,
         r6 * g00 + r7 * g10 + r8 * g20, r6 * g01 + r7 * g11 + r8 * g21, r6 * g02 + r7 * g12 + r8 * g22,
     )  # fmt: skip
+
+
+@formula
+def at_node(slope: Matrix, r: Vector) -> Vector:
+    """The gradient at a node, of that with respect to F: slope · r_n."""
+    g0, g1, g2, g3, g4, g5, g6, g7, g8 = slope
+    a0, a1, a2 = r
+    return g0 * a0 + g1 * a1 + g2 * a2, g3 * a0 + g4 * a1 + g5 * a2, g6 * a0 + g7 * a1 + g8 * a2
 
 
 @formula
@@ -149,68 +146,72 @@ def evaluate_tensor(F: Floats, factors: Floats, C: Floats, dC_dF: Floats) -> Non
     R, U = polar(load_matrix(F.reshape((1, 9, 8)), 0), quaternion, 0, np.zeros((2, 4, 4)))
     u0, u1, u2, u3, u4, u5, u6, u7, u8 = U
     E = (u0 - 1.0, u4 - 1.0, u8 - 1.0, 0.5 * (u5 + u7), 0.5 * (u2 + u6), 0.5 * (u1 + u3))
+    spin = spin_of(E)
     for side in range(2):
         f = factors[side]
         sign = -1.0 if side == 0 else 1.0
         values, u, v, w = eigen(scaled(E, factors, side))
         for a, (q0, q1, q2) in enumerate((u, v, w)):
             C[side, a] = 1.0 - lane(values[a], 0)
-            for e, entry in enumerate(gradient(R, E, (f[6] * q0, f[7] * q1, f[8] * q2))):
+            y = (f[6] * q0, f[7] * q1, f[8] * q2)
+            for e, entry in enumerate(turned(R, square(y), times(spin, leaning(E, y)))):
                 dC_dF[side, a, e // 3, e % 3] = sign * lane(entry, 0)
+
+
+@formula
+def limited(factors: Floats, side: int) -> bool:
+    """Whether an axis is limited on this side."""
+    any_axis: bool = factors[side, 6] + factors[side, 7] + factors[side, 8] > 0.0
+    return any_axis
+
+
+@formula
+def pairs_of(model: Model, b: int, side: int) -> tuple[int, float]:
+    """Entry of `frames` that batch b has for a side, and the sign of its eigenvalues there.
+
+    Where both sides have the same room, −A E A has the eigenvectors of A E A.
+    """
+    return (2 * b, 1.0 - 2.0 * side) if model.mirrored else (2 * b + side, 1.0)
 
 
 @kernel
 def find_near(model: Model, state: State) -> None:
-    """What may be at a limit at the state's positions or a step later, into `near`; its eigenpairs into `eigen`."""
+    """What may be at a limit at the state's positions or a step later, into `near`; its eigenpairs into `frames`.
+
+    Eight tetrahedra are decomposed where one of them is near.
+    """
     if model.patches.volume.shape[0] > 0:
         mean_strains(model, state)
-    tensor, strains, factors, tets, count = (
-        state.tensor,
-        state.limit_strain,
-        model.limit_factors,
-        model.tets.shape[0],
-        0,
-    )
-    bounds, near, pairs, gathered = tensor.bound, tensor.near, tensor.eigen, tensor.gathered
-    whole = gathered.reshape((1, -1))
-    for side in range(2):
-        if factors[side, 6] + factors[side, 7] + factors[side, 8] == 0.0:  # no axis is limited on this side
-            for b in range(strains.shape[0]):
-                store8(bounds, b, side, splat8(0.0))
-            continue
-        state.work[LIMITS_SEEN] += tets
-        for b in range(strains.shape[0]):
-            bound = upper_bound(scaled(load_symmetric(strains, b), factors, side))
-            before = load8(bounds, b, side)
+    tensor, strains, factors, volumes = state.tensor, state.limit_strain, model.limit_factors, model.lane_volume
+    bounds, near, frames = tensor.bound, tensor.near, tensor.frames
+    zero, one, top = splat8(0.0), splat8(1.0), splat8(0.0)
+    for b in range(strains.shape[0]):
+        E, real, decomposed = load_symmetric(strains, b), load8(volumes, b, 0) > 0.0, False
+        for side in range(2):
+            if not limited(factors, side):
+                store8(bounds, b, side, zero)
+                continue
+            bound, before = upper_bound(scaled(E, factors, side)), load8(bounds, b, side)
             store8(bounds, b, side, bound)
-            found = bits(bound + maximum(bound - before, splat8(0.0)) > NEAR)
-            while found != 0:
-                l = 0
-                while not (found >> l) & 1:
-                    l += 1
-                found &= found - 1
-                if 8 * b + l < tets:
-                    near[count] = 2 * (8 * b + l) + side
-                    count += 1
-    tensor.near_count[0] = count
-    for group in range((count + 7) // 8):
-        _gather(near, 8 * group, count, strains, factors, gathered)
-        values, u, v, w = eigen(load_symmetric(whole, 0))
-        store_vector(pairs, group, 0, values)
-        store_vector(pairs, group, 3, u)
-        store_vector(pairs, group, 6, v)
-        store_vector(pairs, group, 9, w)
+            found = real & (bound + maximum(bound - before, zero) > NEAR)
+            store8(near, b, side, where(found, one, zero))
+            if bits(found) == 0 or (decomposed and model.mirrored):
+                continue
+            decomposed = True
+            entry, _ = pairs_of(model, b, side)
+            p, q, r = eigen_from(scaled(E, factors, entry - 2 * b), frames, entry)
+            if model.mirrored:
+                p, q, r = absolute(p), absolute(q), absolute(r)
+            top = maximum(top, where(real, maximum(maximum(p, q), r), zero))
+    tensor.top[0] = _largest(top)
+    state.work[LIMITS_SEEN] += model.tets.shape[0] * (limited(factors, 0) + limited(factors, 1))
 
 
 @stage
 def greatest_strain(model: Model, state: State) -> float:
     """The largest strain/limit; 1 is exactly at the limit. Exact, also where nothing is near."""
-    greatest = 0.0
-    pairs, strains, factors, bounds = state.tensor.eigen, state.limit_strain, model.limit_factors, state.tensor.bound
-    for group in range((state.tensor.near_count[0] + 7) // 8):
-        for a in range(3):
-            for l in range(8):
-                greatest = max(greatest, pairs[group, a, l])
+    greatest: float = state.tensor.top[0]
+    strains, factors, bounds = state.limit_strain, model.limit_factors, state.tensor.bound
     if greatest >= NEAR:
         return greatest
     top = 0
@@ -251,137 +252,3 @@ def _largest(v: Lanes) -> float:
     for l in range(1, 8):
         greatest = max(greatest, lane(v, l))
     return greatest
-
-
-@stage
-def _gather(near: Ints, first: int, count: int, E: Floats, factors: Floats, out: Floats) -> None:
-    """± A E A of eight entries of `near` from `first` on (the last one again where they end) into out[:6]."""
-    for l in range(8):
-        entry = near[min(first + l, count - 1)]
-        t, f = entry // 2, factors[entry % 2]
-        for c in range(6):
-            out[c, l] = E[t // 8, c, t % 8] * f[c]
-
-
-@formula
-def _direction(eigen: Floats, group: int, a: int, c: int, sign: float) -> tuple[Lanes, Lanes, Lanes, Lanes]:
-    """qᵀ B q and q of eigenvector a, or of the unit vector halfway between a and ± c."""
-    value, q0, q1, q2 = (
-        load8(eigen, group, a),
-        load8(eigen, group, 3 + 3 * a),
-        load8(eigen, group, 4 + 3 * a),
-        load8(eigen, group, 5 + 3 * a),
-    )
-    if a != c:
-        half, other = math.sqrt(0.5), sign * math.sqrt(0.5)
-        value = 0.5 * (value + load8(eigen, group, c))
-        q0 = half * q0 + other * load8(eigen, group, 3 + 3 * c)
-        q1 = half * q1 + other * load8(eigen, group, 4 + 3 * c)
-        q2 = half * q2 + other * load8(eigen, group, 5 + 3 * c)
-    return value, q0, q1, q2
-
-
-@stage
-def gather_tets(model: Model, state: State, group: int) -> None:
-    """R, E, r_1 … r_3, 1/√a and the sign of the side of eight entries of `near`, side by side, into `gathered`."""
-    out, near_list, count = state.tensor.gathered, state.tensor.near, state.tensor.near_count[0]
-    rotations, strains, gradients, factors = state.R, state.E, model.lane_gradients, model.limit_factors
-    for l in range(8):
-        entry = near_list[min(8 * group + l, count - 1)]
-        t, side = entry // 2, entry % 2
-        b, i = t // 8, t % 8
-        for c in range(9):
-            out[c, l] = rotations[b, c, i]
-            out[15 + c, l] = gradients[b, c, i]
-        for c in range(6):
-            out[9 + c, l] = strains[b, c, i]
-        for c in range(3):
-            out[24 + c, l] = factors[side, 6 + c]
-        out[27, l] = 1.0 if side == 0 else -1.0
-
-
-@formula
-def node_gradients(slope: Matrix, down: Lanes, whole: Floats, lane_J: Floats) -> None:
-    """∂C/∂x at the four nodes into lane_J, of ∂λ/∂F = `slope`; down: −side · room; whole: what was gathered."""
-    g0, g1, g2, g3, g4, g5, g6, g7, g8 = slope
-    s0, s1, s2 = splat8(0.0), splat8(0.0), splat8(0.0)
-    for n in range(3):
-        a0, a1, a2 = load8(whole, 0, 15 + 3 * n), load8(whole, 0, 16 + 3 * n), load8(whole, 0, 17 + 3 * n)
-        x = down * (g0 * a0 + g1 * a1 + g2 * a2)
-        y = down * (g3 * a0 + g4 * a1 + g5 * a2)
-        z = down * (g6 * a0 + g7 * a1 + g8 * a2)
-        scatter3(lane_J, 0, n, x, y, z)
-        s0, s1, s2 = s0 - x, s1 - y, s2 - z
-    scatter3(lane_J, 0, 3, s0, s1, s2)
-
-
-@stage
-def tensor_rows(model: Model, state: State, h: float, rows: int) -> int:
-    """Append a row for every eigenvalue in `eigen` that is near its limit, now or after h; return their number.
-
-    Two eigenvalues that nearly coincide have two more between them: their eigenvectors may turn within the step.
-    Writes what `limit_rows` does; a row's key is 2 · direction + side. -1: too many rows.
-    """
-    tensor, nf, least = state.tensor, model.free.shape[0], _NO_GRADIENT / model.length**2
-    count, lane_J, pairs, near_list = tensor.near_count[0], tensor.lane_J, tensor.eigen, tensor.near
-    tets, tet_slot, velocities = model.tets, model.tet_slot, state.moving
-    J, row_slot, row_tet, row_key = state.J, state.row_slot, state.row_tet, state.row_key
-    row_side, constant, shares = state.row_side, state.constant, state.compliance
-    whole = tensor.gathered.reshape((1, -1))
-    patched, patches, rates, parts = (
-        model.patches.volume.shape[0] > 0,
-        model.patches.lane,
-        state.patch_rate,
-        state.row_part,
-    )
-    if patched:
-        patch_rates(model, state, model.patches.node, velocities)
-    for group in range((count + 7) // 8):
-        gather_tets(model, state, group)
-        R = load_matrix(whole, 0)
-        e0, e1, e2 = load8(whole, 0, 9), load8(whole, 0, 10), load8(whole, 0, 11)
-        E = (e0, e1, e2, load8(whole, 0, 12), load8(whole, 0, 13), load8(whole, 0, 14))
-        for d in range(9):
-            a, c = _FIRST[d], _SECOND[d]
-            value, q0, q1, q2 = _direction(pairs, group, a, c, _SIGN[d])
-            worth, share = bits(value > _WORTH), splat8(1.0)
-            if a != c:
-                p, q = load8(pairs, group, a), load8(pairs, group, c)
-                share = 1.0 - absolute(p - q) * (1.0 / _COINCIDE)
-                worth = bits((p > NEAR) & (q > NEAR) & (share > 0.0))
-            if worth == 0:
-                continue
-            y0, y1, y2 = load8(whole, 0, 24) * q0, load8(whole, 0, 25) * q1, load8(whole, 0, 26) * q2
-            size = y0 * y0 + y1 * y1 + y2 * y2
-            room = 1.0 / where(size > 0.0, size, splat8(1.0))
-            slope = gradient(R, E, (y0, y1, y2))
-            if patched:
-                slope = less(slope, R, size * (1.0 / 3.0))
-            node_gradients(slope, -load8(whole, 0, 27) * room, whole, lane_J)
-            for l in range(min(8, count - 8 * group)):
-                if not (worth >> l) & 1:
-                    continue
-                entry = near_list[8 * group + l]
-                t = entry // 2
-                if rows >= row_tet.shape[0]:
-                    return -1
-                C = lane(room, l) * (1.0 - lane(value, l))
-                change = force = 0.0
-                for n in range(4):
-                    node, slot = tets[t, n], tet_slot[t, n]
-                    j, v = load4(lane_J, l, n), load4(velocities, node, 0)
-                    change += sum3(j * v)
-                    force += sum3(j * j) if slot < nf else 0.0
-                    store4(J, rows, n, j)
-                    row_slot[rows, n] = slot
-                if patched:
-                    parts[rows] = (2.0 * (entry % 2) - 1.0) * (1.0 / 3.0)
-                    change += parts[rows] * rates[patches[t // 8, t % 8]]
-                ahead = C + h * change
-                near = (1.0 - NEAR) * lane(room, l)
-                if (near < C and ahead > near) or force <= least:
-                    continue
-                row_tet[rows], row_key[rows] = t, 2 * d + entry % 2
-                row_side[rows], constant[rows], shares[rows] = 1.0 - 2.0 * (entry % 2), ahead, lane(share, l)
-                rows += 1
-    return rows

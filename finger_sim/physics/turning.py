@@ -17,11 +17,11 @@ from __future__ import annotations
 
 from ..arrays import Floats
 from .compile import formula, stage
-from .jacobi import Vector
-from .lanes import Lanes, absolute, bits, lane, load4, load8, maximum, splat8, store4, sum3, where
+from .jacobi import Symmetric, Vector, load_symmetric, load_vector
+from .lanes import Lanes, absolute, bits, lane, load4, load8, maximum, scatter3, splat8, store4, sum3, where
 from .model import Model, State
-from .polar import load_matrix
-from .tensor_limit import gather_tets, less, node_gradients, turned
+from .polar import Matrix, load_matrix
+from .tensor_limit import at_node, less, pairs_of, spin_of, times, turned
 
 _FIRST, _SECOND = (0, 0, 1), (1, 2, 2)
 _APART = 0.1  # of λ_i − λ_j at least: nearer ones have rows between them (tensor_limit.py)
@@ -33,39 +33,42 @@ _PASSED = 0.95  # strain/limit from which on one counts as passed: it may be so 
 def add_turning(model: Model, state: State, h: float) -> None:
     """Add what limits at state.x resist turning with to A."""
     tensor, volume = state.tensor, model.volume
-    count, pairs, lane_J, near_list = tensor.near_count[0], tensor.eigen, tensor.lane_J, tensor.near
-    whole = tensor.gathered.reshape((1, -1))
+    near, frames, lane_J, factors = tensor.near, tensor.frames, tensor.lane_J, model.limit_factors
     tensor.turning_count[0] = 0
     stiffness = h * h / model.limit_compliance
-    for group in range((count + 7) // 8):
-        gathered = False
+    for k in range(2 * near.shape[0]):
+        b, side = k // 2, k % 2
+        at_limit = load8(near, b, side) > 0.0
+        if bits(at_limit) == 0:
+            continue
+        entry, sign = pairs_of(model, b, side)
         for d in range(3):
             i, j = _FIRST[d], _SECOND[d]
-            p, q = load8(pairs, group, i), load8(pairs, group, j)
-            if bits((maximum(p, q) > _PASSED) & (p > _BOTH) & (q > _BOTH)) == 0:
+            p, q = sign * load8(frames, entry, i), sign * load8(frames, entry, j)
+            if bits(at_limit & (maximum(p, q) > _PASSED) & (p > _BOTH) & (q > _BOTH)) == 0:
                 continue
-            if not gathered:
-                gather_tets(model, state, group)
-                gathered = True
-            a, b = _scaled(pairs, group, i, whole), _scaled(pairs, group, j, whole)
-            weight = _resistance(p, q, a, b)
-            found = bits((weight > 0.0) & (p > _BOTH) & (q > _BOTH))
+            a, c = _scaled(frames, entry, i, factors, side), _scaled(frames, entry, j, factors, side)
+            weight = _resistance(p, q, a, c)
+            found = bits(at_limit & (weight > 0.0) & (p > _BOTH) & (q > _BOTH))
             if found == 0:
                 continue
-            node_gradients(_slope(whole, a, b), splat8(1.0), whole, lane_J)
-            for l in range(min(8, count - 8 * group)):
+            slope = _slope(load_matrix(state.R, b), load_symmetric(state.E, b), a, c)
+            for n in range(4):
+                x, y, z = at_node(slope, load_vector(model.lane_gradients, b, 3 * n))
+                scatter3(lane_J, 0, n, x, y, z)
+            for l in range(8):
                 if (found >> l) & 1:
-                    t = near_list[8 * group + l] // 2
+                    t = 8 * b + l
                     add_square(model, state, t, l, stiffness * volume[t] * lane(weight, l))
 
 
 @formula
-def _scaled(pairs: Floats, group: int, i: int, whole: Floats) -> Vector:
+def _scaled(frames: Floats, entry: int, i: int, factors: Floats, side: int) -> Vector:
     """y = A q of eigenvector i."""
     return (
-        load8(whole, 0, 24) * load8(pairs, group, 3 + 3 * i),
-        load8(whole, 0, 25) * load8(pairs, group, 4 + 3 * i),
-        load8(whole, 0, 26) * load8(pairs, group, 5 + 3 * i),
+        factors[side, 6] * load8(frames, entry, 3 + 3 * i),
+        factors[side, 7] * load8(frames, entry, 4 + 3 * i),
+        factors[side, 8] * load8(frames, entry, 5 + 3 * i),
     )
 
 
@@ -83,15 +86,12 @@ def _resistance(p: Lanes, q: Lanes, a: Vector, b: Vector) -> Lanes:
 
 
 @formula
-def _slope(whole: Floats, a: Vector, b: Vector) -> tuple[Lanes, ...]:
-    """∂(aᵀ E b)/∂F without its trace, of the eight tetrahedra in `whole`."""
+def _slope(R: Matrix, E: Symmetric, a: Vector, b: Vector) -> Matrix:
+    """∂(aᵀ E b)/∂F without its trace."""
     a0, a1, a2 = a
     b0, b1, b2 = b
-    e0, e1, e2 = load8(whole, 0, 9), load8(whole, 0, 10), load8(whole, 0, 11)
-    e3, e4, e5 = load8(whole, 0, 12), load8(whole, 0, 13), load8(whole, 0, 14)
-    u0, u1, u2 = e0 + 1.0, e1 + 1.0, e2 + 1.0
-    p0, p1, p2 = u0 * a0 + e5 * a1 + e4 * a2, e5 * a0 + u1 * a1 + e3 * a2, e4 * a0 + e3 * a1 + u2 * a2
-    q0, q1, q2 = u0 * b0 + e5 * b1 + e4 * b2, e5 * b0 + u1 * b1 + e3 * b2, e4 * b0 + e3 * b1 + u2 * b2
+    p0, p1, p2 = times(E, a)
+    q0, q1, q2 = times(E, b)
     z = (
         0.5 * (p1 * b2 - p2 * b1 + q1 * a2 - q2 * a1),
         0.5 * (p2 * b0 - p0 * b2 + q2 * a0 - q0 * a2),
@@ -99,8 +99,7 @@ def _slope(whole: Floats, a: Vector, b: Vector) -> tuple[Lanes, ...]:
     )
     s0, s1, s2 = a0 * b0, a1 * b1, a2 * b2
     S = (s0, s1, s2, 0.5 * (a1 * b2 + a2 * b1), 0.5 * (a0 * b2 + a2 * b0), 0.5 * (a0 * b1 + a1 * b0))
-    R = load_matrix(whole, 0)
-    return less(turned(R, (e0, e1, e2, e3, e4, e5), S, z), R, (s0 + s1 + s2) * (1.0 / 3.0))
+    return less(turned(R, S, times(spin_of(E), z)), R, (s0 + s1 + s2) * (1.0 / 3.0))
 
 
 @stage

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..arrays import Floats, Ints
 from .compile import formula, stage
-from .lanes import Lanes, lane, load4, splat4, store4, sum3
+from .lanes import Lanes, lane, load4, splat4, store4, sum3, sums3
 
 
 @formula
@@ -48,9 +48,7 @@ def subtract_product(nf: int, block_row: Ints, block_column: Ints, A: Floats, v:
         a, b, c = load4(A, nf + p, 0), load4(A, nf + p, 1), load4(A, nf + p, 2)
         x = load4(v, i, 0)
         store4(out, i, 0, load4(out, i, 0) - (a * v[j, 0] + b * v[j, 1] + c * v[j, 2]))
-        out[j, 0] -= sum3(a * x)
-        out[j, 1] -= sum3(b * x)
-        out[j, 2] -= sum3(c * x)
+        store4(out, j, 0, load4(out, j, 0) - sums3(a * x, b * x, c * x))
     first = nf + block_row.shape[0]
     for k in range(first, A.shape[0]):
         d = k - first + nf + 3

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arrays import Floats
-from .lanes import BATCH, LANES, aligned, aligned_copy, padded
+from .lanes import BATCH, LANES, aligned, aligned_copy
 from .linear_solver import SIDES_AT_ONCE
 from .methods import LINEAR, NONE, ORTHOGONAL, PGS, TENSOR
 from .model import Model, Newton, Pgs, Principal, State, Tensor, Yielding
+from .tensor_rows import MOST_DIRECTIONS
 from .work import WORK
 
 MAX_ROWS = 2048  # limit and contact rows of one step of `pgs`; more are left out, with a status bit
@@ -40,7 +41,7 @@ def _sizes(model: Model, nodes: int) -> _Sizes:
     spectral, patches = count if model.projection not in (NONE, TENSOR) else 0, len(model.patches.volume)
     contacts = len(model.contact_nodes) * model.has_plane
     both_sides = model.projection in (ORTHOGONAL, LINEAR)
-    rows = (12 * count if tensor else (18 if both_sides else 9) * spectral) + 3 * contacts
+    rows = (18 * count if tensor else (18 if both_sides else 9) * spectral) + 3 * contacts
     if pgs:
         rows = min(MAX_ROWS, rows)
     return _Sizes(
@@ -136,7 +137,7 @@ def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
         "pressure": aligned(size.batches if size.patches else 0, LANES),
         "G": aligned(len(model.patches.node), 4),
         "patch_rate": np.zeros(size.patches),
-        "patch_size": np.zeros((size.patches, 2)),
+        "patch_size": np.zeros((2, size.patches)),
         "patch_force": np.zeros(size.patches),
         "patch_cross": aligned(len(model.patches.node), 4),
         "rhs": aligned(size.slots, 4),
@@ -237,13 +238,20 @@ def _principal(size: _Sizes) -> Principal:
 
 
 def _tensor(size: _Sizes) -> Tensor:
-    near = padded(2 * size.tets) if size.tensor else 0
+    groups = 4 * MOST_DIRECTIONS * size.tensor
+    frames = aligned(2 * size.tensor, 12, LANES)
+    frames[:, 3:] = np.eye(3).reshape(9, 1)
     return Tensor(
         bound=aligned(size.tensor, 2, LANES),
-        near=np.zeros(near, np.int64),
-        near_count=np.zeros(1, np.int64),
-        eigen=aligned(near // LANES, 12, LANES),
-        gathered=aligned(32, LANES),
+        near=aligned(size.tensor, 2, LANES),
+        frames=frames,
+        top=np.zeros(1),
+        first=np.zeros(2 * size.tensor + 1, np.int64),
+        key=np.zeros(groups, np.int64),
+        slope=aligned(groups, 9, 4),
+        row=aligned(groups, 3, 4),
+        lam=aligned(groups, 4),
+        best=aligned(groups, 4),
         lane_J=aligned(LANES, 4, 4),
         turning_count=np.zeros(1, np.int64),
         turning_tet=np.zeros(size.turning, np.int64),

@@ -12,7 +12,7 @@ from ..scene import Pose
 from .touch import Touch
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
+@dataclasses.dataclass(slots=True)  # frozen, each field of it would cost a call
 class StepResult:
     """What one step gives. Wrenches are of the plane on the finger, world axes, about the finger frame's origin."""
 

@@ -15,15 +15,17 @@ class Placed:
 
     def __init__(self, points: Floats) -> None:
         self._points = self._turned = points
+        self._placed, self._shift = np.empty_like(points), np.zeros(3)
         self._turn = Pose().orientation
 
     def at(self, pose: Pose) -> Floats:
-        """Where they are at a pose, (n, 3) [m], world."""
+        """Where they are at a pose, (n, 3) [m], world; until the next call."""
         if pose.orientation != self._turn:
             self._turn = pose.orientation
             self._turned = self._points @ matrix(self._turn).T
-        placed: Floats = self._turned + pose.position
-        return placed
+        shift = self._shift
+        shift[0], shift[1], shift[2] = pose.position
+        return np.add(self._turned, shift, out=self._placed)
 
 
 def carried(points: Floats, before: Pose, after: Pose) -> Floats:

@@ -154,7 +154,8 @@ class Simulator:
         else:
             if self._driven:
                 self.pose = wanted
-            state.origin[:] = self.pose.position
+            origin = state.origin
+            origin[0], origin[1], origin[2] = self.pose.position
         if self._timed:
             state.laps[len(STAGES)] = time.perf_counter()  # the same clock as compiled code's
         advance(self._ready, self._rest_driven if self._yields else self._placed.at(self.pose), h)

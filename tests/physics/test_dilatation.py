@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from cases import for_each
 from numpy.testing import assert_allclose
-from physics_helpers import Array, assembled, beam_scene, healthy, lumped_mass, nodal_forces, pose, run
+from physics_helpers import Array, assembled, beam_scene, healthy, lumped_mass, nodal_forces, pack, pose, run
 from scipy.spatial.transform import Rotation
 from step_problem import LIMITS, ORTHOGONAL
 from truth import linear, patches
@@ -138,6 +138,7 @@ def limit_rows(sim: Simulator, step: Any) -> LimitRows:
     model, state = sim._model, sim._state
     state.row_tet[:] = NO_ROW = np.iinfo(np.int64).max
     step()
+    pack(sim)
     found = np.flatnonzero((state.row_tet >= 0) & (state.row_tet < NO_ROW))
     own, J = model.patches, np.zeros((len(found), len(sim.positions), 3))
     for k, row in enumerate(found):

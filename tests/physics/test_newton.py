@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cases import for_each
 from numpy.testing import assert_allclose
-from physics_helpers import Array, beam_scene, finger_scene, healthy, pose, run
+from physics_helpers import Array, beam_scene, finger_scene, healthy, pack, pose, run
 from scipy.spatial.transform import Rotation
 from step_problem import LIMITS, ORTHOGONAL, Problem, check_against_qp, check_with_friction, stepped
 
@@ -146,7 +146,7 @@ def copied(sim: Simulator, other: Simulator) -> None:
     other.set_state(sim.positions.copy(), sim.velocities.copy())
     for name in ("contact_force", "limit_force", "held_tets"):
         getattr(other._state, name)[:] = getattr(sim._state, name)
-    other._state.tensor.bound[:] = sim._state.tensor.bound
+    other._state.tensor.bound[:], other._state.tensor.near[:] = sim._state.tensor.bound, sim._state.tensor.near
     other.pose = sim.pose
 
 
@@ -206,6 +206,7 @@ def test_both_methods_take_the_same_step(projection: str) -> None:
 
 def rows_of(sim: Simulator) -> Any:
     """Tetrahedra of the limit rows of the last step."""
+    pack(sim)
     tets = sim._state.row_tet
     return tets[(tets >= 0) & (tets < 2**40)]
 

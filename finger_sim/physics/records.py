@@ -1,0 +1,141 @@
+"""`pointed`: a record of arrays as compiled code holds it. One address; a type says where each field lies from there.
+
+Handing the hundred arrays of a Model and a State over takes longer than some stages of a step, and so does counting
+who refers to each array in every function: here both are done once. What a record points to lives as long as the
+`Pointed` does, and compiled code counts nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.datamodel import models
+from numba.core.extending import (
+    NativeValue,
+    infer_getattr,
+    lower_getattr_generic,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+from numba.core.typing.templates import AttributeTemplate
+
+_WORD = ir.IntType(64)
+
+
+class RecordType(types.Type):
+    """numba's type of a record: its name, and the types of its fields."""
+
+    def __init__(self, record: str, fields: tuple[tuple[str, Any], ...]) -> None:
+        self.fields, self.places, place = dict(fields), {}, 0
+        for name, kind in fields:
+            self.places[name] = place
+            place += 1 + 2 * kind.ndim if isinstance(kind, types.Array) else 1
+        self.words = place
+        super().__init__(name=f"{record}({', '.join(f'{name}={_short(kind)}' for name, kind in fields)})")
+
+
+def _short(kind: Any) -> str:
+    return f"{kind.dtype}x{kind.ndim}" if isinstance(kind, types.Array) else str(kind)
+
+
+class Pointed:
+    """A record in memory that stays where it is. In compiled code it has the fields of the record."""
+
+    def __init__(self, record: NamedTuple) -> None:
+        """Arrays are shared, not copied; they must be C-contiguous."""
+        self.record = record
+        self._within = {name: Pointed(part) for name, part in record._asdict().items() if _is_record(part)}
+        values = record._asdict() | self._within
+        self.kind = RecordType(type(record).__name__, tuple((name, _kind_of(part)) for name, part in values.items()))
+        words: list[int] = []
+        for part in values.values():
+            words += _words(part)
+        self._memory = np.array(words, np.int64)
+        self.address = self._memory.ctypes.data
+
+
+def _is_record(part: Any) -> bool:
+    return isinstance(part, tuple) and hasattr(part, "_fields")
+
+
+def _kind_of(part: Any) -> Any:
+    if isinstance(part, Pointed):
+        return part.kind
+    if isinstance(part, np.ndarray):
+        if not part.flags.c_contiguous:
+            raise ValueError(
+                f"an array of shape {part.shape} of a record: got strides {part.strides}, allowed: C order"
+            )
+        return types.Array(numba.from_dtype(part.dtype), part.ndim, "C")
+    return types.boolean if isinstance(part, (bool, np.bool_)) else numba.typeof(part)
+
+
+def _words(part: Any) -> list[int]:
+    if isinstance(part, Pointed):
+        return [part.address]
+    if isinstance(part, np.ndarray):
+        return [part.ctypes.data, *part.shape, *part.strides]
+    return [int(np.float64(part).view(np.int64)) if isinstance(part, float) else int(part)]
+
+
+register_model(RecordType)(models.OpaqueModel)
+
+
+@typeof_impl.register(Pointed)  # type: ignore[untyped-decorator]
+def _typeof_pointed(pointed: Pointed, context: Any) -> RecordType:
+    return pointed.kind
+
+
+@unbox(RecordType)  # type: ignore[untyped-decorator]
+def _unbox_record(kind: RecordType, instance: Any, c: Any) -> Any:
+    address = c.pyapi.object_getattr_string(instance, "address")
+    number = c.pyapi.long_as_longlong(address)
+    c.pyapi.decref(address)
+    return NativeValue(c.builder.inttoptr(number, cgutils.voidptr_t))
+
+
+@infer_getattr
+class _RecordField(AttributeTemplate):  # type: ignore[misc]
+    key = RecordType
+
+    def generic_resolve(self, kind: RecordType, name: str) -> Any:
+        return kind.fields.get(name)
+
+
+@lower_getattr_generic(RecordType)  # type: ignore[untyped-decorator]
+def _lower_field(context: Any, builder: Any, kind: RecordType, value: Any, name: str) -> Any:
+    field = kind.fields[name]
+    words = builder.bitcast(value, _WORD.as_pointer())
+
+    def word(k: int) -> Any:
+        place = builder.gep(words, [ir.Constant(_WORD, kind.places[name] + k)], inbounds=True)
+        loaded = builder.load(place, align=8)
+        loaded.set_metadata("invariant.load", builder.module.add_metadata([]))  # nothing writes a record's memory
+        return loaded
+
+    if isinstance(field, types.Array):
+        array = context.make_array(field)(context, builder)
+        array.data = builder.inttoptr(word(0), array.data.type)
+        shape = [word(1 + d) for d in range(field.ndim)]
+        array.shape = cgutils.pack_array(builder, shape, ty=_WORD)
+        array.strides = cgutils.pack_array(builder, [word(1 + field.ndim + d) for d in range(field.ndim)], ty=_WORD)
+        count = shape[0]
+        for size in shape[1:]:
+            count = builder.mul(count, size)
+        array.nitems = count
+        array.itemsize = ir.Constant(_WORD, context.get_abi_sizeof(context.get_data_type(field.dtype)))
+        array.meminfo = cgutils.get_null_value(array.meminfo.type)  # counted by nobody
+        array.parent = cgutils.get_null_value(array.parent.type)
+        return array._getvalue()
+    if isinstance(field, RecordType):
+        return builder.inttoptr(word(0), cgutils.voidptr_t)
+    if isinstance(field, types.Float):
+        return builder.bitcast(word(0), ir.DoubleType())
+    if isinstance(field, types.Boolean):
+        return builder.icmp_signed("!=", word(0), ir.Constant(_WORD, 0))
+    return word(0)
