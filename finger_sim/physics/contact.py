@@ -50,8 +50,9 @@ def contact_rows(model: Model, state: State, h: float, again: bool) -> int:
     compliances, scale, lam = state.compliance, state.scale, state.lam
     moving = state.moving
     nf, rows = model.free.shape[0], 0
-    nearing = bone_nears(model, state)
-    if state.clearance[0] > margin + h * max(fastest(state.v_start if again else moving), nearing):
+    nearing, g = bone_nears(model, state), model.gravity
+    falling = -h * h * min(0.0, frame[0, 0] * g[0] + frame[0, 1] * g[1] + frame[0, 2] * g[2])  # from rest, in the step
+    if state.clearance[0] > margin + falling + h * max(fastest(state.v_start if again else moving), nearing):
         return 0
     state.work[NODES_SEEN] += nodes.shape[0]
     for c in range(nodes.shape[0]):
@@ -59,7 +60,7 @@ def contact_rows(model: Model, state: State, h: float, again: bool) -> int:
         x, v, w, warm = positions[node], velocities[node], moving[node], forces[node]
         gap = frame[0, 0] * (x[0] - point[0]) + frame[0, 1] * (x[1] - point[1]) + frame[0, 2] * (x[2] - point[2])
         ahead = gap + h * (frame[0, 0] * w[0] + frame[0, 1] * w[1] + frame[0, 2] * w[2])
-        far = gap > margin and ahead > margin and gap - h * nearing > margin
+        far = gap > margin and ahead - falling > margin and gap - h * nearing > margin
         if far and not (again and set_out_for(model, state, node, h) <= margin):
             continue
         if rows + 3 > lam.shape[0]:
