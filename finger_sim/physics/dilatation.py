@@ -21,7 +21,7 @@ from __future__ import annotations
 from ..arrays import Floats, Ints
 from .compile import stage
 from .kinematics import edges_times
-from .lanes import gather3, load4, load8, splat4, store4, store8, sum3
+from .lanes import load4, load8, splat4, store4, store8, sum3
 from .model import Model, State
 from .polar import load_matrix
 
@@ -42,13 +42,7 @@ def patch_pressures(model: Model, state: State, lead: float) -> None:
     for b in range(strains.shape[0]):
         trace = load8(strains, b, 0) + load8(strains, b, 1) + load8(strains, b, 2)
         if driven[b]:
-            x4, y4, z4 = gather3(w, nodes, b, 3)
-            x1, y1, z1 = gather3(w, nodes, b, 0)
-            x2, y2, z2 = gather3(w, nodes, b, 1)
-            x3, y3, z3 = gather3(w, nodes, b, 2)
-            f0, f1, f2, f3, f4, f5, f6, f7, f8 = edges_times(
-                (x1 - x4, y1 - y4, z1 - z4), (x2 - x4, y2 - y4, z2 - z4), (x3 - x4, y3 - y4, z3 - z4), r, b
-            )
+            f0, f1, f2, f3, f4, f5, f6, f7, f8 = edges_times(w, nodes, r, b)
             r0, r1, r2, r3, r4, r5, r6, r7, r8 = load_matrix(rotations, b)
             rate = r0 * f0 + r1 * f1 + r2 * f2 + r3 * f3 + r4 * f4 + r5 * f5 + r6 * f6 + r7 * f7 + r8 * f8
             trace = trace + lead * rate

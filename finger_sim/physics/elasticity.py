@@ -23,7 +23,7 @@ from __future__ import annotations
 from .compile import formula, stage
 from .dilatation import patch_gradients, patch_pressures, patch_stiffness
 from .kinematics import edges_times
-from .lanes import absolute, add3, bits, gather3, lane, load4, load8, maximum, scatter3, splat4, splat8, store4
+from .lanes import absolute, add3, bits, lane, load4, load8, maximum, scatter3, splat4, splat8, store4
 from .methods import NEWTON, TENSOR
 from .model import Model, State
 from .polar import load_matrix, transposed_times
@@ -137,13 +137,7 @@ def stresses(model: Model, state: State, h: float, lead: float) -> None:
         e0, e1, e2 = load8(strains, b, 0), load8(strains, b, 1), load8(strains, b, 2)
         e3, e4, e5 = load8(strains, b, 3), load8(strains, b, 4), load8(strains, b, 5)
         if driven[b]:
-            x4, y4, z4 = gather3(w, nodes, b, 3)
-            x1, y1, z1 = gather3(w, nodes, b, 0)
-            x2, y2, z2 = gather3(w, nodes, b, 1)
-            x3, y3, z3 = gather3(w, nodes, b, 2)
-            rate = edges_times(
-                (x1 - x4, y1 - y4, z1 - z4), (x2 - x4, y2 - y4, z2 - z4), (x3 - x4, y3 - y4, z3 - z4), r, b
-            )
+            rate = edges_times(w, nodes, r, b)
             d0, d1, d2, d3, d4, d5, d6, d7, d8 = transposed_times(R, rate)
             e0, e1, e2 = e0 + lead * d0, e1 + lead * d4, e2 + lead * d8
             e3, e4, e5 = e3 + 0.5 * lead * (d5 + d7), e4 + 0.5 * lead * (d2 + d6), e5 + 0.5 * lead * (d1 + d3)

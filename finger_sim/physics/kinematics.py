@@ -132,11 +132,7 @@ def kinematics(model: Model, state: State) -> None:
     rotations, strains, quaternion = state.R, state.E, state.quaternion
     inverted = 0
     for b in range(rotations.shape[0]):
-        x4, y4, z4 = gather3(x, nodes, b, 3)
-        x1, y1, z1 = gather3(x, nodes, b, 0)
-        x2, y2, z2 = gather3(x, nodes, b, 1)
-        x3, y3, z3 = gather3(x, nodes, b, 2)
-        F = edges_times((x1 - x4, y1 - y4, z1 - z4), (x2 - x4, y2 - y4, z2 - z4), (x3 - x4, y3 - y4, z3 - z4), r, b)
+        F = edges_times(x, nodes, r, b)
         f0, f1, f2, f3, f4, f5, f6, f7, f8 = F
         det = f0 * (f4 * f8 - f5 * f7) + f1 * (f5 * f6 - f3 * f8) + f2 * (f3 * f7 - f4 * f6)
         inverted += bits(det < 0.0) != 0
@@ -170,11 +166,17 @@ def turned_far(model: Model, state: State) -> bool:
 
 
 @formula
-def edges_times(d1: Vector, d2: Vector, d3: Vector, gradients: Floats, b: int) -> Matrix:
-    """Σ d_n r_nᵀ, by rows, of edges d_n = w_n − w_4: F of positions (Eq. 3), Ḟ of velocities."""
+def edges_times(w: Floats, nodes: Ints, gradients: Floats, b: int) -> Matrix:
+    """Σ (w_n − w_4) r_nᵀ, by rows, of batch b: F of positions w (Eq. 3), Ḟ of velocities."""
+    x4, y4, z4 = gather3(w, nodes, b, 3)
+    x1, y1, z1 = gather3(w, nodes, b, 0)
+    x2, y2, z2 = gather3(w, nodes, b, 1)
+    x3, y3, z3 = gather3(w, nodes, b, 2)
     return products(
-        d1, load_vector(gradients, b, 0), d2, load_vector(gradients, b, 3), d3, load_vector(gradients, b, 6)
-    )
+        (x1 - x4, y1 - y4, z1 - z4), load_vector(gradients, b, 0),
+        (x2 - x4, y2 - y4, z2 - z4), load_vector(gradients, b, 3),
+        (x3 - x4, y3 - y4, z3 - z4), load_vector(gradients, b, 6),
+    )  # fmt: skip
 
 
 @formula

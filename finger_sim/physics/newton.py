@@ -26,7 +26,7 @@ from ..arrays import Floats
 from .bone import bone_residual
 from .border import solve_all
 from .clock import FACTOR, SOLVE, lap, seconds
-from .compile import formula, stage
+from .compile import stage
 from .dilatation import add_patch_forces, patch_rates
 from .elasticity import slot_velocities
 from .hessian import NONE, OF_A, OF_ANOTHER, factor_elastic, refactor
@@ -54,7 +54,8 @@ def newton(
     The residual is the largest force missing at any node [N], relative to the largest row force.
     """
     began = seconds(state.time) if model.deadline > 0.0 else 0.0
-    own = state.newton
+    own, lam, best, tensor = state.newton, state.lam, state.best, state.tensor
+    packed = contacts if model.projection == TENSOR else rows  # the other ones are in groups (tensor_rows.py)
     change, tried, direction, best_change, factors = own.change, own.tried, own.direction, own.best_change, own.factors
     if anew and factors[0] == OF_A:
         factors[0] = OF_ANOTHER
@@ -75,7 +76,8 @@ def newton(
     stale = factors[0] == NONE or model.max_iterations <= _WORTH  # of few, none is spent on old factors
     least, least_missing, iterations, stalled = residual, missing, 0, 0
     clear(best_change)
-    keep(model, state, contacts, rows)
+    copy_first(best, lam, packed)
+    copy_groups(tensor, tensor.best, tensor.lam)
     while residual > tolerance and iterations < model.max_iterations:
         if model.deadline > 0.0 and iterations > 0 and seconds(state.time) - began > model.deadline:
             break
@@ -107,35 +109,17 @@ def newton(
             stalled = 0 if missing < _PROGRESS * least_missing else stalled
             least, least_missing = residual, missing
             copy(best_change, change)
-            keep(model, state, contacts, rows)
+            copy_first(best, lam, packed)
+            copy_groups(tensor, tensor.best, tensor.lam)
         if stalled >= _STALLED or not missing < math.inf:
             break
         stale = residual >= before or math.log(tolerance / residual) < _WORTH * math.log(residual / before)
-    take_back(model, state, contacts, rows)
+    copy_first(lam, best, packed)
+    copy_groups(tensor, tensor.lam, tensor.best)
     if model.has_bone:
         bone_residual(model, state, h, best_change, own.next_residual)
     add_to_velocities(model, state, best_change)
     return iterations, least, True
-
-
-@formula
-def keep(model: Model, state: State, contacts: int, rows: int) -> None:
-    """The row forces of the iterate with the least force missing so far."""
-    if model.projection == TENSOR:
-        copy_first(state.best, state.lam, contacts)
-        copy_groups(state.tensor, state.tensor.best, state.tensor.lam)
-    else:
-        copy_first(state.best, state.lam, rows)
-
-
-@formula
-def take_back(model: Model, state: State, contacts: int, rows: int) -> None:
-    """They are those of the step."""
-    if model.projection == TENSOR:
-        copy_first(state.lam, state.best, contacts)
-        copy_groups(state.tensor, state.tensor.lam, state.tensor.best)
-    else:
-        copy_first(state.lam, state.best, rows)
 
 
 @stage

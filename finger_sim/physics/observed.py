@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .compile import formula, stage
+from .compile import stage
 from .dilatation import share_out
 from .lanes import lane, load4, splat4, splat8, store4, store8, where
 from .locking import STRAINS
@@ -71,7 +71,8 @@ def observe_rows(model: Model, state: State, contacts: int, rows: int) -> tuple[
     counted = 2 * DIRECTIONS if model.projection == TENSOR else 9
     if keeps:
         warm[:] = 0.0
-    clear_forces(state)
+    for b in range(limit_force.shape[0]):
+        store8(limit_force, b, 0, splat8(0.0))
     active[:] = 0
     held = tets = 0
     for row in range(contacts, rows):
@@ -88,13 +89,6 @@ def observe_rows(model: Model, state: State, contacts: int, rows: int) -> tuple[
                 tets += active[t] == 0
                 active[t] += 1
     return held, tets
-
-
-@formula
-def clear_forces(state: State) -> None:
-    """No limit force anywhere."""
-    for b in range(state.limit_force.shape[0]):
-        store8(state.limit_force, b, 0, splat8(0.0))
 
 
 @stage

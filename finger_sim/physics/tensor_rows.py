@@ -101,13 +101,10 @@ def rows_of_four(model: Model, state: State, h: float, b: int, half: int, groups
             continue
         entry, sign = pairs_of(model, b, side)
         outwards, part = 2.0 * side - 1.0, (2.0 * side - 1.0) * (1.0 / 3.0)
-        p, q, r = (
-            sign * load4(frames, entry, half),
-            sign * load4(frames, entry, 2 + half),
-            sign * load4(frames, entry, 4 + half),
-        )
-        p, q, r = where(p > NEAR, one, none), where(q > NEAR, one, none), where(r > NEAR, one, none)
-        between = bits(near & (p + q + r > 1.5)) != 0
+        p = sign * load4(frames, entry, half) > NEAR
+        q = sign * load4(frames, entry, 2 + half) > NEAR
+        r = sign * load4(frames, entry, 4 + half) > NEAR
+        between = bits(near & ((p & q) | (p & r) | (q & r))) != 0
         for d in range(MOST_DIRECTIONS if between else DIRECTIONS):
             value, share, axis = _direction(frames, entry, half, sign, d)
             worth = near & (value > _WORTH) if d < DIRECTIONS else near & (share > 0.0)

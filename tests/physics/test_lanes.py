@@ -18,13 +18,17 @@ from finger_sim.physics.compile import FASTMATH
 from finger_sim.physics.lanes import (
     absolute,
     add3,
+    add3x4,
     bits,
     gather3,
+    gather3x4,
     lane,
     load4,
     load8,
     maximum,
+    pick4,
     scatter3,
+    scatter3x4,
     splat4,
     splat8,
     sqrt,
@@ -295,6 +299,39 @@ def test_add3() -> None:
                 a = start.copy()
                 each(a, index, i, k, v)
                 assert_array_equal(a, expected)
+
+
+def test_four_at_once() -> None:
+    """`gather3x4`, `pick4`, `add3x4` and `scatter3x4` at every half of every group, rows named twice among them."""
+
+    def python(a: Array, index: Any, i: int, k: int, v: Array, numbers: Array, out: Array, apart: Array) -> None:
+        x, y, z = gather3x4(a, index, i, k)
+        store4(out, 0, 0, x)
+        store4(out, 1, 0, y)
+        store4(out, 2, 0, z)
+        store4(out, 3, 0, pick4(numbers, index, i, k))
+        add3x4(a, index, i, k, load4(v, 0, 0), load4(v, 1, 0), load4(v, 2, 0))
+        scatter3x4(apart, 1, load4(v, 0, 0), load4(v, 1, 0), load4(v, 2, 0))
+
+    function = compiled(python)
+    rng = np.random.default_rng(6)
+    start, numbers = rng.standard_normal((6, 4)), rng.standard_normal(6)
+    index = rng.integers(0, 6, (3, 4, 8))
+    index[2, 3] = [5, 5, 0, 5, 0, 0, 5, 5]
+    for i in range(3):
+        for k in range(8):
+            named, v = index[i].ravel()[4 * k : 4 * k + 4], rng.standard_normal((3, 4))
+            added = start.copy()
+            for l, n in enumerate(named):
+                added[n, :3] += v[:, l]
+            spread = np.full((4, 3, 4), 7.0)
+            spread[:, 1, :3], spread[:, 1, 3] = v.T, 0.0
+            for each in (function, python):
+                a, out, apart = start.copy(), np.empty((4, 4)), np.full((4, 3, 4), 7.0)
+                each(a, index, i, k, v, numbers, out, apart)
+                assert_array_equal(out, [*start[named, :3].T, numbers[named]])
+                assert_array_equal(a, added)
+                assert_array_equal(apart, spread)
 
 
 @for_each("K", [1, 3, 4])
