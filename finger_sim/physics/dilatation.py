@@ -150,19 +150,6 @@ def add_patch_rows(model: Model, state: State, D: Floats, L: Floats) -> None:
 
 
 @stage
-def patch_gradients(model: Model, state: State) -> None:
-    """G_n of every patch at its nodes into state.G, from state.g = R r_n."""
-    own, G, g, volume = model.patches, state.G, state.g, model.volume
-    place, share = own.tet_place, own.tet_share
-    for k in range(G.shape[0]):
-        store4(G, k, 0, splat4(0.0))
-    for t in range(volume.shape[0]):
-        for n in range(4):
-            k = place[t, n]
-            store4(G, k, 0, load4(G, k, 0) + load4(g, t, n) * share[t])
-
-
-@stage
 def patch_stiffness(model: Model, state: State, weight: float) -> None:
     """Add weight · K V_p G_a G_bᵀ to A."""
     own, A, G = model.patches, state.A, state.G

@@ -21,10 +21,10 @@ gives their tetrahedra within the step.
 from __future__ import annotations
 
 from .compile import formula, stage
-from .dilatation import patch_gradients, patch_pressures, patch_stiffness
+from .dilatation import patch_pressures, patch_stiffness
 from .kinematics import edges_times
 from .lanes import absolute, add3, bits, lane, load4, load8, maximum, scatter3, splat4, splat8, store4
-from .methods import NEWTON, TENSOR
+from .methods import NEWTON, NONE, TENSOR
 from .model import Model, State
 from .polar import load_matrix, transposed_times
 from .turning import add_turning, resist_driven
@@ -62,9 +62,7 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
         state.turning_force[:] = state.limit_force
     if model.patches.volume.shape[0] > 0:
         patch_pressures(model, state, beta if again else h + beta)
-    stresses(model, state, h, beta if again else h + beta)
-    if model.patches.volume.shape[0] > 0:
-        patch_gradients(model, state)
+    stresses(model, state, h, beta if again else h + beta, anew)
     if anew:
         matrix(model, state, h)
         state.work[MATRICES] += 1
@@ -123,13 +121,19 @@ def limits_changed(state: State) -> bool:
 
 
 @stage
-def stresses(model: Model, state: State, h: float, lead: float) -> None:
-    """Add h f(x) to state.rhs, driven nodes going on for `lead` [s]; state.g = R r_n for `matrix`."""
+def stresses(model: Model, state: State, h: float, lead: float, anew: bool) -> None:
+    """Add h f(x) to state.rhs, driven nodes going on for `lead` [s]; of g_n = R r_n what patches make of them, state.G.
+
+    anew: `matrix` needs state.g = R r_n of every node of every tetrahedron, as rows on principal stretches do.
+    """
     r, two_mu, lame_lambda = model.lane_gradients, 2.0 * model.lame_mu, model.lame_lambda
     rotations, strains, volumes, slots, nodes = state.R, state.E, model.lane_volume, model.lane_slot, model.lane_node
     driven, w, rhs, g = model.lane_driven, state.driven_velocity, state.rhs, state.g
     limit_force, patched, pressures = state.turning_force, model.patches.volume.shape[0] > 0, state.pressure
     follows = turning_limits(model, state)
+    own, G = model.patches, state.G
+    keeps = anew or (patched and model.projection != NONE and model.projection != TENSOR)
+    clear(G)
     for b in range(rotations.shape[0]):
         turns = False
         f0 = f1 = f2 = f3 = f4 = f5 = f6 = f7 = f8 = splat8(0.0)  # turning stiffness at driven nodes, times Ḟ_driven
@@ -167,7 +171,12 @@ def stresses(model: Model, state: State, h: float, lead: float) -> None:
                 y = y + (f3 * a + f4 * c + f5 * d)
                 z = z + (f6 * a + f7 * c + f8 * d)
             add3(rhs, slots, b, n, x, y, z)
-            scatter3(g, b, n, r0 * a + r1 * c + r2 * d, r3 * a + r4 * c + r5 * d, r6 * a + r7 * c + r8 * d)
+            x, y, z = r0 * a + r1 * c + r2 * d, r3 * a + r4 * c + r5 * d, r6 * a + r7 * c + r8 * d
+            if keeps:
+                scatter3(g, b, n, x, y, z)
+            if patched:
+                share = load8(own.lane_share, b, 0)
+                add3(G, own.lane_entry, b, n, x * share, y * share, z * share)
 
 
 @stage

@@ -34,6 +34,7 @@ class Patches(NamedTuple):
     tet_place: Ints  # (T, 4) entries of a tetrahedron's nodes in its patch
     lane_entry: Ints  # (B, 4, 8) the same in lanes
     tet_share: Floats  # (T,) vol / V_p
+    lane_share: Floats  # (B, 8) the same in lanes; 0 where they are filled up
     start: Ints  # (P + 1,) first entry of each patch
     node: Ints  # (N,) nodes
     slot: Ints  # (N,) their slots

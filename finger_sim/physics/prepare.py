@@ -192,6 +192,7 @@ def _patches(found: Partition, volume: Floats, tissue: Tissue, slots: _Slots, bl
         tet_place=found.tet_place,
         lane_entry=np.ascontiguousarray(entries),
         tet_share=share,
+        lane_share=aligned_copy(_side_by_side(np.append(share, np.zeros(-len(share) % LANES)))),
         start=found.start,
         node=found.node,
         slot=slots.of_node[found.node],
