@@ -95,10 +95,9 @@ def _panels(columns: list[Ints]) -> Ints:
 
 
 def _updates(rows: Ints, nodes: int) -> Ints:
-    """column * nodes + row of the off-diagonal blocks between a panel's rows: pair of columns, row, column."""
-    row, column = np.tril_indices(len(rows), -1)
-    order = np.lexsort((column, row, column // 2))
-    return np.asarray(rows[column[order]] * nodes + rows[row[order]], np.int64)
+    """column * nodes + row of the off-diagonal blocks between a panel's rows: column after column."""
+    column, row = np.triu_indices(len(rows), 1)
+    return np.asarray(rows[column] * nodes + rows[row], np.int64)
 
 
 def block_of(pattern: Pattern, row_slot: int, column_slot: int) -> int:

@@ -67,57 +67,29 @@ def factor(pattern: Pattern, diagonal: Floats, lower: Floats, inverse: Floats) -
                 _finish(a, b, c, i00, i10, i20, i11, i21, i22, lower, base + r, work, r * width + j)
 
         slots = start[first + width - 1] - width  # row[slots + r] is the slot of row r
-        for t in range(width, height - 1, 2):
-            q0, q1 = t * width, t * width + width
-            t0, t1, t2 = row[slots + t], target[update], row[slots + t + 1]
-            update += 1
-            a, b, c = _block(diagonal, t0)
-            d, e, f = _block(lower, t1)
-            g, h, i = _block(diagonal, t2)
-            p = origin + t
-            for j in range(width):
-                a, b, c = _minus_product(a, b, c, lower, p, work, q0 + j)
-                d, e, f = _minus_product(d, e, f, lower, p + 1, work, q0 + j)
-                g, h, i = _minus_product(g, h, i, lower, p + 1, work, q1 + j)
-                p += height - 2 - j
-            _store(diagonal, t0, a, b, c)
-            _store(lower, t1, d, e, f)
-            _store(diagonal, t2, g, h, i)
-            for r in range(t + 2, height - 1, 2):
-                t0, t1, t2, t3 = target[update], target[update + 1], target[update + 2], target[update + 3]
-                update += 4
-                a, b, c = _block(lower, t0)
-                d, e, f = _block(lower, t1)
-                g, h, i = _block(lower, t2)
-                l, m, n = _block(lower, t3)
-                p = origin + r
-                for j in range(width):
-                    a, b, c = _minus_product(a, b, c, lower, p, work, q0 + j)
-                    d, e, f = _minus_product(d, e, f, lower, p, work, q1 + j)
-                    g, h, i = _minus_product(g, h, i, lower, p + 1, work, q0 + j)
-                    l, m, n = _minus_product(l, m, n, lower, p + 1, work, q1 + j)
-                    p += height - 2 - j
-                _store(lower, t0, a, b, c)
-                _store(lower, t1, d, e, f)
-                _store(lower, t2, g, h, i)
-                _store(lower, t3, l, m, n)
-            if (height - t) % 2 == 1:
+        for t in range(width, height):
+            q, place = t * width, row[slots + t]
+            a, b, c = _block(diagonal, place)
+            a, b, c = _minus_products(a, b, c, lower, origin + t, height, work, q, width)
+            _store(diagonal, place, a, b, c)
+            for r in range(t + 1, height - 1, 2):
                 t0, t1 = target[update], target[update + 1]
                 update += 2
                 a, b, c = _block(lower, t0)
                 d, e, f = _block(lower, t1)
-                p = origin + height - 1
+                p = origin + r
                 for j in range(width):
-                    a, b, c = _minus_product(a, b, c, lower, p, work, q0 + j)
-                    d, e, f = _minus_product(d, e, f, lower, p, work, q1 + j)
+                    a, b, c = _minus_product(a, b, c, lower, p, work, q + j)
+                    d, e, f = _minus_product(d, e, f, lower, p + 1, work, q + j)
                     p += height - 2 - j
                 _store(lower, t0, a, b, c)
                 _store(lower, t1, d, e, f)
-        if (height - width) % 2 == 1:
-            r = height - 1
-            a, b, c = _block(diagonal, row[slots + r])
-            a, b, c = _minus_products(a, b, c, lower, origin + r, height, work, r * width, width)
-            _store(diagonal, row[slots + r], a, b, c)
+            if (height - t) % 2 == 0:
+                place = target[update]
+                update += 1
+                a, b, c = _block(lower, place)
+                a, b, c = _minus_products(a, b, c, lower, origin + height - 1, height, work, q, width)
+                _store(lower, place, a, b, c)
     return True
 
 
