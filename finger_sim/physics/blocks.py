@@ -22,6 +22,7 @@ class Blocks(NamedTuple):
     pair_row: Ints
     pair_column: Ints
     assembly: Ints
+    assembly_start: Ints
     patch_assembly: Ints
     patch_place: Ints
     row: Ints
@@ -45,15 +46,18 @@ def blocks_of(tet_slot: Ints, patch_pairs: Ints, entry_slot: Ints, nf: int, patt
     block, place, row, column, place_of = _numbered(both.max(axis=1), both.min(axis=1), nf, pattern)
     tet_block = block[: 10 * count].reshape(count, 10)
     t, e = np.nonzero(tet_block >= 0)
-    assembly = np.stack([t, pair_row[t, e], pair_column[t, e], tet_block[t, e]], axis=1)
+    by_block = np.argsort(tet_block[t, e], kind="stable")
+    t, e = t[by_block], e[by_block]
+    start = np.searchsorted(tet_block[t, e], np.arange(block.max(initial=-1) + 2))
+    assembly = np.stack([t, pair_row[t, e], pair_column[t, e]], axis=1)
     patch_block, turned = block[10 * count :], ends[:, 0] < ends[:, 1]
     entries = np.where(turned[:, None], patch_pairs[:, :0:-1], patch_pairs[:, 1:])
     patch_assembly = np.column_stack([patch_pairs[:, 0], entries, patch_block])[patch_block >= 0]
     patch_place = place[10 * count :][patch_block >= 0]
     tet_place = place[: 10 * count].reshape(count, 10)
     return Blocks(
-        tet_place, tet_block, pair_row, pair_column, assembly, patch_assembly, patch_place, row, column, place_of
-    )
+        tet_place, tet_block, pair_row, pair_column, assembly, start, patch_assembly, patch_place, row, column, place_of
+    )  # fmt: skip
 
 
 def _numbered(rows: Ints, columns: Ints, nf: int, pattern: Pattern) -> tuple[Ints, Ints, Ints, Ints, Ints]:

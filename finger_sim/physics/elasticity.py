@@ -182,35 +182,32 @@ def stresses(model: Model, state: State, h: float, lead: float, anew: bool) -> N
 @stage
 def matrix(model: Model, state: State, h: float) -> None:
     """A of the rotations that state.g has."""
-    A, g, free, mass, laplace = state.A, state.g, model.free, model.mass, model.laplace
-    assembly, volume, lame_lambda, lame_mu = model.assembly, model.volume, model.lame_lambda, model.lame_mu
+    A, g, free, mass, laplace, nf = state.A, state.g, model.free, model.mass, model.laplace, model.free.shape[0]
+    assembly, start, volume, dot = model.assembly, model.assembly_start, model.volume, model.assembly_dot
     weight = h * (h + model.damping_stiffness)
+    w_lambda, w_mu = weight * model.lame_lambda, weight * model.lame_mu
     inertia, viscosity = 1.0 + h * model.damping_mass, model.limit_viscosity * h * h
-    nf = free.shape[0]
+    limit_force, turns = state.turning_force.reshape(-1), turning_limits(model, state)
     bones = nf + model.block_row.shape[0]  # the first diagonal block of a bone's node
     for k in range(A.shape[0]):
-        same = weight * lame_mu * laplace[k]
+        same = w_mu * laplace[k]
         if k < nf:
             same += inertia * mass[free[k]]
         elif k >= bones:
             same += inertia * mass[model.driven[k - bones]]
+        p, q, r = splat4(0.0), splat4(0.0), splat4(0.0)
+        for c in range(start[k], start[k + 1]):
+            t, row, column = assembly[c, 0], assembly[c, 1], assembly[c, 2]
+            a, b = load4(g, t, row) * (volume[t] * w_lambda), load4(g, t, column) * (volume[t] * w_mu)
+            p = p + (a * g[t, column, 0] + b * g[t, row, 0])
+            q = q + (a * g[t, column, 1] + b * g[t, row, 1])
+            r = r + (a * g[t, column, 2] + b * g[t, row, 2])
+            if turns:
+                same += viscosity * limit_force[t] * dot[c]
+        store4(A, k, 0, p)
+        store4(A, k, 1, q)
+        store4(A, k, 2, r)
         for j in range(3):
-            store4(A, k, j, splat4(0.0))
-        A[k, 0, 0] = A[k, 1, 1] = A[k, 2, 2] = same
-    for k in range(assembly.shape[0]):
-        t, row, column, block = assembly[k, 0], assembly[k, 1], assembly[k, 2], assembly[k, 3]
-        stiff = weight * volume[t]
-        w_lambda, w_mu = stiff * lame_lambda, stiff * lame_mu
-        a, b = load4(g, t, row), load4(g, t, column)
-        a_lambda, b_mu = a * w_lambda, b * w_mu
-        for j in range(3):
-            store4(A, block, j, load4(A, block, j) + (a_lambda * g[t, column, j] + b_mu * g[t, row, j]))
+            A[k, j, j] += same
     if model.patches.volume.shape[0] > 0:
         patch_stiffness(model, state, weight)
-    if not turning_limits(model, state):
-        return
-    limit_force, dot = state.turning_force.reshape(-1), model.assembly_dot
-    for k in range(assembly.shape[0]):
-        turning = viscosity * limit_force[assembly[k, 0]] * dot[k]
-        for j in range(3):
-            A[assembly[k, 3], j, j] += turning

@@ -76,7 +76,8 @@ class Model(NamedTuple):
     lane_mobility: Floats  # (B, 4, 8) 1 / mass of their nodes, 0: driven
     lane_metric: Floats  # (B, 12, 8) Σ r_n r_nᵀ over their free nodes, 00 11 22 12 02 01; and over these nodes' masses
     lane_driven: Ints  # (B,) 1 where a node of a lane is driven and another free
-    assembly: Ints  # (k, 4) contributions to A: tetrahedron, its nodes at the row and the column, block of A
+    assembly: Ints  # (k, 3) contributions to A, block after block: tetrahedron, its nodes at the row and the column
+    assembly_start: Ints  # (blocks + 1,) first one of each block of A
     assembly_dot: Floats  # (k,) r_a · r_b of their nodes [1/m²]
     block_row: Ints  # (na,) slot of each block below the diagonal of A
     block_column: Ints  # (na,)

@@ -120,9 +120,9 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
     nf = len(slots.free)
     blocks = blocks_of(slots.of_tet, patches.pairs, slots.of_node[patches.node], nf, slots.pattern)
     laplace = np.zeros(nf + len(blocks.row) + (len(driven) if has_bone else 0))
-    t, row, column, block = blocks.assembly.T
+    t, row, column = blocks.assembly.T
     dot = np.einsum("ki,ki->k", gradients[t, row], gradients[t, column])
-    np.add.at(laplace, block, volume[t] * dot)
+    np.add.at(laplace, np.repeat(np.arange(len(laplace)), np.diff(blocks.assembly_start)), volume[t] * dot)
     surface_nodes = np.unique(body.surface).astype(np.int64)
     mobility = np.append(1.0 / mass[slots.free], np.zeros(slots.total - nf))
     poisson = tissue.poisson
@@ -145,6 +145,7 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         tet_moves=(slots.of_tet < nf).sum(axis=1),
         **_in_lanes(body, rest, slots, mobility),
         assembly=blocks.assembly,
+        assembly_start=blocks.assembly_start,
         assembly_dot=dot,
         block_row=blocks.row,
         block_column=blocks.column,
