@@ -74,6 +74,7 @@ def newton(
     if not missing < math.inf:
         return 0, residual, False
     stale = factors[0] == NONE or model.max_iterations <= _WORTH  # of few, none is spent on old factors
+    patience = 2 * _WORTH if anew else _WORTH  # a step that makes a matrix or factors is long enough
     least, least_missing, iterations, stalled = residual, missing, 0, 0
     clear(best_change)
     copy_first(best, lam, packed)
@@ -84,6 +85,7 @@ def newton(
         if stale:
             lap(state.laps, state.time, SOLVE)
             definite = refactor(model, state, h, contacts, rows)
+            patience = 2 * _WORTH
             lap(state.laps, state.time, FACTOR)
             if not definite:
                 return iterations, residual, False
@@ -113,7 +115,8 @@ def newton(
             copy_groups(tensor, tensor.best, tensor.lam)
         if stalled >= _STALLED or not missing < math.inf:
             break
-        stale = residual >= before or math.log(tolerance / residual) < _WORTH * math.log(residual / before)
+        most = min(patience, (model.max_iterations - iterations) // 2)
+        stale = residual >= before or math.log(tolerance / residual) < most * math.log(residual / before)
     copy_first(lam, best, packed)
     copy_groups(tensor, tensor.lam, tensor.best)
     if model.has_bone:
