@@ -134,10 +134,8 @@ def spring_wrench(on_bone: Floats, bone: Pose, command: Pose) -> Floats:
 def device_wrench(coupling: Coupling, wrench: Floats) -> Floats:
     """A wrench (6,) [N, N m], its force and torque each scaled back to the coupling's limits."""
     a, b, c, d, e, f = wrench.tolist()
-    wrench = wrench.copy()
     force, torque = math.hypot(a, b, c), math.hypot(d, e, f)
-    if force > coupling.force_limit:
-        wrench[:3] *= coupling.force_limit / force
-    if torque > coupling.torque_limit:
-        wrench[3:] *= coupling.torque_limit / torque
-    return wrench
+    if force <= coupling.force_limit and torque <= coupling.torque_limit:
+        return wrench.copy()
+    p, q = min(1.0, coupling.force_limit / (force or 1.0)), min(1.0, coupling.torque_limit / (torque or 1.0))
+    return np.array((p * a, p * b, p * c, q * d, q * e, q * f))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 from ..arrays import Floats
 from ..physics import step as stepping
 from ..physics.step import Status
 from ..scene import Pose
 from .touch import Touch
+
+STATUSES = [Status(bits) for bits in range(sum(Status) + 1)]
+"""A Status of each number: made anew in every step, it would cost as much as the rest of a StepResult."""
 
 
 @dataclasses.dataclass(slots=True)  # frozen, each field of it would cost a call
@@ -41,13 +43,13 @@ class StepResult:
         )  # fmt: skip
 
 
-def measured(result: list[float]) -> dict[str, Any]:
-    """The fields that the kernel itself tells, of State.result."""
-    return {
-        "limited_tets": int(result[stepping.LIMITED_TETS]),
-        "limit_rows": int(result[stepping.LIMIT_ROWS]),
-        "locked_tets": int(result[stepping.LOCKED_TETS]),
-        "max_strain_ratio": result[stepping.STRAIN_RATIO],
-        "contacts": int(result[stepping.CONTACTS]),
-        "max_penetration": result[stepping.PENETRATION],
-    }
+def measured(result: list[float]) -> tuple[int, int, int, float, int, float]:
+    """The fields from `limited_tets` to `max_penetration`, which the kernel itself tells, of State.result."""
+    return (
+        int(result[stepping.LIMITED_TETS]),
+        int(result[stepping.LIMIT_ROWS]),
+        int(result[stepping.LOCKED_TETS]),
+        result[stepping.STRAIN_RATIO],
+        int(result[stepping.CONTACTS]),
+        result[stepping.PENETRATION],
+    )

@@ -28,7 +28,7 @@ from .build import build_model, with_live_values
 from .drive import Drive, checked_time
 from .ground import Ground, checked_target
 from .guard import Guard, Verdict
-from .result import StepResult, measured
+from .result import STATUSES, StepResult, measured
 from .rigid import Placed, best_fit, carried, twist_of
 from .touch import Imprint
 
@@ -180,16 +180,10 @@ class Simulator:
             wrench[3:] += np.cross(state.origin - np.array(self.pose.position), wrench[:3])
         felt = spring_wrench(state.coupling, self.pose, self._drive.end) if self._yields else wrench
         return StepResult(
-            time=self.time,
-            contact_wrench=wrench,
-            device_wrench=device_wrench(self.scene.coupling, felt),
-            pose=self.pose,
-            iterations=iterations,
-            residual=residual,
-            status=Status(status),
+            self._steps * self.scene.dt, wrench, device_wrench(self.scene.coupling, felt), self.pose, iterations,
+            residual, STATUSES[status], *measured(result),
             touch=Imprint.of(self).touch() if self._touch else None,
-            **measured(result),
-        )
+        )  # fmt: skip
 
     def reset(self, pose: Pose | None = None, plane: Pose | None = None) -> None:
         """Back to rest at `pose` (default: the last command), at time 0.
