@@ -16,6 +16,9 @@ from ..arrays import Ints
 from .lanes import aligned
 from .model import Pattern
 
+FEWEST_WORTH, PRODUCTS = 5, 6
+"""Iterations that new factors are worth at least: their matrix costs some. Products of blocks that `factor` makes while
+an iteration passes over a block of L."""
 WIDEST = 8  # columns of a panel: two rows and two columns of it are read from the first cache again and again
 
 
@@ -35,7 +38,9 @@ def analyse(edges: Ints, nodes: int) -> Pattern:
     target = np.searchsorted(np.repeat(np.arange(nodes), lengths) * nodes + row, wanted)
     widths = np.diff(panel)
     size = max((int(w * (w + len(rows))) for w, rows in zip(widths, rows_below, strict=True)), default=0)
-    return Pattern(order, _inverse(order), start, row, panel, target, aligned(size, 3, 4))
+    products = int((lengths * (lengths + 1)).sum()) // 2
+    worth = max(FEWEST_WORTH, products // (PRODUCTS * max(1, len(row))))
+    return Pattern(order, _inverse(order), start, row, panel, target, aligned(size, 3, 4), worth)
 
 
 def _inverse(permutation: Ints) -> Ints:

@@ -20,6 +20,7 @@ class Pattern(NamedTuple):
     panel: Ints  # (panels + 1,) first column of each panel
     target: Ints  # (updates,) the off-diagonal blocks that `factor` subtracts from, in its order
     work: Floats  # (most blocks in a panel, 3, 4) L D of the panel that `factor` is at
+    worth: int  # about how many iterations of Newton's method take as long as new factors
 
 
 class Patches(NamedTuple):

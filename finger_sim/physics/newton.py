@@ -40,7 +40,6 @@ from .work import CORRECTIONS
 _SLACK = 0.5  # a line search ends where dᵀr is within so much of what it was to either side of 0
 _TRIALS = 12
 _STALLED, _PROGRESS = 20, 0.9  # so many iterations without that much progress end a step
-_WORTH = 5  # iterations that old factors may still need: new ones cost about as much
 
 
 @stage
@@ -73,8 +72,9 @@ def newton(
     residual, missing = evaluate(model, state, h, contacts, rows, change)
     if not missing < math.inf:
         return 0, residual, False
-    stale = factors[0] == NONE or model.max_iterations <= _WORTH  # of few, none is spent on old factors
-    patience = 2 * _WORTH if anew else _WORTH  # a step that makes a matrix or factors is long enough
+    worth = model.pattern.worth
+    stale = factors[0] == NONE or model.max_iterations <= worth  # of few, none is spent on old factors
+    patience = 2 * worth if anew else worth  # a step that makes a matrix or factors is long enough
     least, least_missing, iterations, stalled = residual, missing, 0, 0
     clear(best_change)
     copy_first(best, lam, packed)
@@ -85,7 +85,7 @@ def newton(
         if stale:
             lap(state.laps, state.time, SOLVE)
             definite = refactor(model, state, h, contacts, rows)
-            patience = 2 * _WORTH
+            patience = 2 * worth
             lap(state.laps, state.time, FACTOR)
             if not definite:
                 return iterations, residual, False
