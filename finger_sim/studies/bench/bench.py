@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ...arrays import Floats, Ints
+from ...arrays import Ints
 from ...console import gauge
 from ...errors import MissingExtraError
 from ...scene import Scene
@@ -27,7 +27,9 @@ from ..shared import pinned
 from . import passes, peers
 from .figures import (
     DEFAULT_SIZE,
+    LEVEL,
     MUJOCO,
+    PATCHED,
     UNIT_SIZE,
     Figure,
     Key,
@@ -70,6 +72,7 @@ CONTENDERS = {
            ("limited", "newton"), ("limited", "patch")],
     2000: [("limits", "newton"), ("limits", "lagged"), ("limits", "patch"), ("limited", "newton")],
     4000: [("limits", "newton"), ("limits", "lagged"), ("limited", "newton")],
+    16000: [("limits", "lagged")],
 }  # fmt: skip
 """Our own at each size: (scene, solver)."""
 STAGED = [("limits", "newton"), ("limits", "lagged"), ("limited", "newton")]
@@ -137,13 +140,13 @@ def bench(options: Options) -> Report:
     with pinned(options.cpu) as cpu:
         machine["cpu_index"] = cpu
         for size in sorted(set(options.sizes)):
-            said |= _finger(size, options, _with_neo_hookean(found) if size == UNIT_SIZE else {}, records)
+            said |= _finger(size, options, _peers_at(size, found), records)
             stages += _stages(size, options)
         cantilever = _cantilever(options, found)
         if UNIT_SIZE in options.sizes:
-            extras |= _steadiness(options)
+            extras["allocations"] = _allocations(options)
         if DEFAULT_SIZE in options.sizes:
-            extras |= _patches(options)
+            extras |= {"p99": _steadiness(options), "patch": _patch_to_element(options)}
     return Report(machine, records.rows(), cantilever, stages, figures(records, extras), said)
 
 
@@ -203,27 +206,23 @@ def _body(key: Key) -> tuple[str, str]:
     return key.scene, PATCHES if key.contender.startswith(PATCHES) else "newton"
 
 
-def _patches(options: Options) -> dict[str, tuple[float, str]]:
-    """The figures of the default mesh with patches, `lagged` as our scenes have it; what is compared takes turns."""
-    motions = {size: _motion(size, options) for size in (DEFAULT_SIZE, UNIT_SIZE)}
-    solvers = {DEFAULT_SIZE: "lagged", UNIT_SIZE: "newton"}
-    keys = [Key(DEFAULT_SIZE, "limits", f"{PATCHES} lagged"), *(Key(size, "limits", solvers[size]) for size in motions)]
-    runners: dict[Key, Runner] = {key: Ours(finger_scene(*key), motions[key.size]) for key in keys}
+def _patch_to_element(options: Options) -> tuple[float, str]:
+    """Patches to elements on the default mesh, `lagged` as our scenes have it; the two take turns."""
+    motion = _motion(DEFAULT_SIZE, options)
+    keys = [Key(DEFAULT_SIZE, "limits", contender) for contender in (PATCHED, LEVEL)]
+    runners: dict[Key, Runner] = {key: Ours(finger_scene(*key), motion) for key in keys}
     with gauge("patches beside elements") as meter:
         came = passes.interleaved(runners, options.repeats, meter)
-    touching = {size: motion.phase > PHASES.index("air") for size, motion in motions.items()}
-    patch, element, smallest = (came[key].seconds[:, touching[key.size]] for key in keys)
-
-    def told(other: Floats) -> tuple[float, str]:
-        ours, theirs = (1e6 * median_and_p99(seconds)[0] for seconds in (patch, other))
-        return ratio(patch, other), f"press + slide, {ours:.0f} µs to {theirs:.0f} µs{by_repetition(patch, other)}"
-
-    return {"patch": told(element), "default mesh": told(smallest)}
+    patch, element = (came[key].seconds[:, motion.phase > PHASES.index("air")] for key in keys)
+    ours, theirs = (1e6 * median_and_p99(seconds)[0] for seconds in (patch, element))
+    return ratio(patch, element), f"{ours:.0f} µs to {theirs:.0f} µs{by_repetition(patch, element)}"
 
 
-def _with_neo_hookean(found: Makers) -> Makers:
-    """Next to MuJoCo's other material: the two bracket ours."""
-    return {**found, NEO_HOOKEAN: partial(peers.mujoco_peer, neo_hookean=True)} if MUJOCO in found else found
+def _peers_at(size: int, found: Makers) -> Makers:
+    """All at UNIT_SIZE, with MuJoCo's other material too, as the two bracket ours; MuJoCo on the default mesh."""
+    if size == UNIT_SIZE and MUJOCO in found:
+        return {**found, NEO_HOOKEAN: partial(peers.mujoco_peer, neo_hookean=True)}
+    return {name: make for name, make in found.items() if size == UNIT_SIZE or (size, name) == (DEFAULT_SIZE, MUJOCO)}
 
 
 def _reference(scene: Scene, motion: Motion, tip: Ints | None = None) -> Record:
@@ -261,22 +260,23 @@ def _cantilever(options: Options, found: Makers) -> list[Row]:
     ]
 
 
-def _steadiness(options: Options) -> dict[str, tuple[float, str]]:
-    """The figures that look at single steps of the smallest finger."""
-    runner = Ours(finger_scene(UNIT_SIZE, "limits"), _motion(UNIT_SIZE, options))
+def _steadiness(options: Options) -> tuple[float, str]:
+    """p99 over median of steps of the default mesh with patches, to that of fixed work."""
+    runner = Ours(finger_scene(DEFAULT_SIZE, "limits", PATCHED), _motion(DEFAULT_SIZE, options))
     with gauge("p99 beside fixed work") as meter:
         ours, work = passes.steadiness(runner, options.repeats, meter)
     both = unsteadiness(ours), unsteadiness(work)
-    medians = [1e6 * float(np.median(times)) for times in (ours, work)]
-    note = f"{len(ours)} steps of {medians[0]:.0f} µs: {both[0]:.2f}; work of {medians[1]:.0f} µs: {both[1]:.2f}"
-    steady = both[1] <= STEADY
-    if not steady:
-        note += f": {both[0] / both[1]:.2f}, but too noisy to tell"
-    counted = passes.allocations(runner)
-    return {
-        "p99": (both[0] / both[1] if steady else math.nan, note),
-        "allocations": (math.nan if counted is None else counted, "numba's count, whole motion but 10 steps"),
-    }
+    p50, p99, p999, most = (1e6 * np.percentile(ours, (50.0, 99.0, 99.9, 100.0))).round()
+    note = f"{len(ours)} steps, p50 {p50:.0f}, p99 {p99:.0f}, p99.9 {p999:.0f}, max {most:.0f} µs; work: {both[1]:.2f}"
+    if both[1] <= STEADY:
+        return both[0] / both[1], note
+    return math.nan, f"{note}: {both[0] / both[1]:.2f}, but too noisy to tell"
+
+
+def _allocations(options: Options) -> tuple[float, str]:
+    """Of compiled code, at UNIT_SIZE."""
+    counted = passes.allocations(Ours(finger_scene(UNIT_SIZE, "limits"), _motion(UNIT_SIZE, options)))
+    return math.nan if counted is None else counted, "numba's count, whole motion but 10 steps"
 
 
 def _starts() -> dict[str, tuple[float, str]]:

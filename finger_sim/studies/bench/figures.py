@@ -12,16 +12,20 @@ from numpy.typing import NDArray
 
 from ...arrays import Floats
 from ...physics.step import Status
+from .before import BEFORE
 from .scenes import PHASES, Record
 
 Mask = NDArray[np.bool_]
 MUJOCO = "MuJoCo"
 UNIT_SIZE = 350
 """Ratios are to MuJoCo at this size."""
-DEFAULT_SIZE = 900
-"""Of the mesh that the everyday scenes have."""
-SOME, MANY = 80, 270
-"""Tetrahedra at a limit in steps that two of the figures look at."""
+DEFAULT_SIZE, LARGE_SIZE = 900, 16000
+"""Of the mesh that the everyday scenes have, and of the finest one."""
+MANY = 270
+"""Tetrahedra at a limit in steps that one of the figures looks at."""
+LEVEL = "lagged"
+"""Contender that figures are of: what steps share is shared; with patches, those of `PATCHED`."""
+PATCHED = "patch lagged"
 
 
 class Key(NamedTuple):
@@ -45,6 +49,7 @@ class Row:
     median_us: float
     p99_us: float
     ratio_to_mujoco: float  # median over MuJoCo's in the same phase at UNIT_SIZE; of the cantilever, on it
+    ratio_to_before: float  # that over the same of `newton` at the time of `before.py`
     iterations_median: float
     iterations_max: float
     residual_max: float  # see Solver.tolerance
@@ -119,6 +124,7 @@ def row(key: Key, phase: str, record: Record, reference: Record, mask: Mask, muj
     """A row of the table. mujoco: the times to compare with, [s], empty without."""
     seconds = record.seconds[:, mask]
     median, p99 = median_and_p99(seconds)
+    to_mujoco, before = ratio(seconds, mujoco), BEFORE.get((key.size, key.scene, phase), math.nan)
     rms, largest = errors(record.answer, reference.answer, mask)
     status = Status(int(np.bitwise_or.reduce(record.status[mask])))
     return Row(
@@ -127,7 +133,8 @@ def row(key: Key, phase: str, record: Record, reference: Record, mask: Mask, muj
         repeats=len(seconds),
         median_us=1e6 * median,
         p99_us=1e6 * p99,
-        ratio_to_mujoco=ratio(seconds, mujoco),
+        ratio_to_mujoco=to_mujoco,
+        ratio_to_before=to_mujoco / before if key.contender in ("newton", LEVEL) else math.nan,
         iterations_median=float(np.median(record.iterations[mask])),
         iterations_max=float(record.iterations[mask].max()),
         residual_max=float(record.residual[mask].max()),
@@ -152,9 +159,9 @@ class Records:
         """Steps of these phases."""
         return np.asarray(np.isin(self.phase[size], [PHASES.index(phase) for phase in phases]))
 
-    def mujoco(self, mask: Mask) -> Floats:
-        """MuJoCo's times over steps of the motion at UNIT_SIZE [s]; empty without MuJoCo."""
-        record = self.of.get(Key(UNIT_SIZE, "no limits", MUJOCO))
+    def mujoco(self, mask: Mask, size: int = UNIT_SIZE) -> Floats:
+        """MuJoCo's times over steps of the motion at a size [s]; empty without MuJoCo."""
+        record = self.of.get(Key(size, "no limits", MUJOCO))
         return np.empty((0, 0)) if record is None else record.seconds[:, mask]
 
     def rows(self) -> list[Row]:
@@ -169,74 +176,96 @@ class Records:
                         out.append(row(key, phase, record, self.reference[key], mask, theirs))
         return out
 
-    def to_mujoco(
-        self, size: int, scene: str, contender: str, phases: tuple[str, ...], limited: int = 0
-    ) -> tuple[float, str]:
-        """Ratio of medians over steps of these phases with at least so many tetrahedra at a limit, and what it is of.
-
-        MuJoCo's are its own times in the same steps; at another size, in the same phases.
-        """
+    def to_mujoco(self, size: int, scene: str, contender: str, phases: tuple[str, ...]) -> tuple[float, str]:
+        """Ratio of medians over steps of these phases, MuJoCo's on the same tetrahedra; and what it is of."""
         record = self.of.get(Key(size, scene, contender))
         if record is None:
             return math.nan, f"needs --sizes {size}"
         mask = self.mask(size, *phases)
-        if limited:
-            mask &= record.limited_tets >= limited
-        median = median_and_p99(record.seconds[:, mask])[0]
-        theirs = np.empty((0, 0))
-        if UNIT_SIZE in self.phase:
-            theirs = self.mujoco(mask if size == UNIT_SIZE else self.mask(UNIT_SIZE, *phases))
-        note = f"{int(mask.sum())} steps"
-        if mask.any():
-            rms, _ = errors(record.answer, self.reference[Key(size, scene, contender)].answer, mask)
-            note += f", {1e6 * median:.0f} µs, force error {100.0 * rms:.2g} % rms"
+        seconds, theirs = record.seconds[:, mask], self.mujoco(mask, size)
+        note = f"{int(mask.sum())} steps, {1e6 * median_and_p99(seconds)[0]:.0f} µs"
         if not theirs.size:
-            note += ", no MuJoCo to compare with"
-        elif mask.any():
-            note += f"; MuJoCo {1e6 * median_and_p99(theirs)[0]:.0f} µs"
-            note += by_repetition(record.seconds[:, mask], theirs)
-        return ratio(record.seconds[:, mask], theirs), note
+            return math.nan, f"{note}, no MuJoCo to compare with"
+        note += f"; MuJoCo {1e6 * median_and_p99(theirs)[0]:.0f} µs{by_repetition(seconds, theirs)}"
+        return ratio(seconds, theirs), note
+
+    def to_before(self, key: Key, phases: tuple[str, ...], scene: str, phase: str) -> tuple[float, str]:
+        """Median over steps of these phases, to that of `newton` before on a scene in a phase at UNIT_SIZE."""
+        record = self.of.get(key)
+        if record is None or UNIT_SIZE not in self.phase:
+            return math.nan, f"needs --sizes {UNIT_SIZE} {key.size}"
+        seconds, theirs = record.seconds[:, self.mask(key.size, *phases)], self.mujoco(self.mask(UNIT_SIZE, phase))
+        note = f"{1e6 * median_and_p99(seconds)[0]:.0f} µs"
+        if not theirs.size:
+            return math.nan, f"{note}, no MuJoCo to compare with"
+        note += f"; MuJoCo, {phase}, {UNIT_SIZE} tets: {1e6 * median_and_p99(theirs)[0]:.0f} µs"
+        return ratio(seconds, theirs) / BEFORE[UNIT_SIZE, scene, phase], note
+
+    def error(self, size: int, scene: str, contender: str, phases: tuple[str, ...]) -> tuple[float, str]:
+        """The larger rms error of force in these phases [%], and which one has it."""
+        key = Key(size, scene, contender)
+        if key not in self.of:
+            return math.nan, f"needs --sizes {size}"
+        answer, reference = self.of[key].answer, self.reference[key].answer
+        found = {phase: 100.0 * errors(answer, reference, self.mask(size, phase))[0] for phase in phases}
+        return max(found.values()), ", ".join(f"{phase} {error:.2g}" for phase, error in found.items())
 
 
 def figures(records: Records, extras: Mapping[str, tuple[float, str]]) -> list[Figure]:
-    """All figures, those not measured with NaN. extras: "p99", "allocations", "cold", "cached", "patch", "default mesh"
-    and their notes.
+    """All figures, those not measured with NaN. extras: "p99", "allocations", "cold", "cached", "patch" and their
+    notes.
     """
     missing = (math.nan, "not asked for")
     touching = ("press", "slide")
 
-    def over(name: str, goal: tuple[float, float], came: tuple[float, str]) -> Figure:
-        return Figure(f"{name}, to MuJoCo", came[0], "×", *goal, "lower", came[1])
+    def lower(name: str, unit: str, goal: tuple[float, float], came: tuple[float, str]) -> Figure:
+        return Figure(name, came[0], unit, *goal, "lower", came[1])
 
-    def extra(name: str, key: str, unit: str, must: float, aim: float) -> Figure:
-        value, note = extras.get(key, missing)
-        return Figure(name, value, unit, must, aim, "lower", note)
+    def before(name: str, goal: tuple[float, float], scene: str, phase: str) -> Figure:
+        came = records.to_before(Key(UNIT_SIZE, scene, LEVEL), (phase,), scene, phase)
+        return lower(f"{UNIT_SIZE} tets, {name}, to newton before", "×", goal, came)
 
-    to = records.to_mujoco
+    default = Key(DEFAULT_SIZE, "limits", PATCHED)
     return [
-        over(f"press + slide, ≥ {SOME} tets at a limit", (0.12, 0.05), to(350, "limits", "newton", touching, SOME)),
-        over(f"press + slide, ≥ {MANY} tets at a limit", (0.18, 0.07), to(350, "limited", "newton", touching, MANY)),
-        over("free air", (0.08, 0.035), to(350, "limits", "newton", ("air",))),
-        over("cheapest level (lagged), press + slide", (0.08, 0.03), to(350, "limits", "lagged", touching)),
-        extra("p99/median of a step, to that of fixed work", "p99", "×", 1.5, 1.1),
-        over("2,000 tets, press + slide", (1.2, 0.5), to(2000, "limits", "newton", touching)),
-        _rate(records, 4000, touching),
-        extra("patch against element on the same mesh, whole step, press + slide", "patch", "×", 1.5, 1.25),
-        extra("default mesh with patches, press + slide, to 350 tets with elements", "default mesh", "×", 3.0, 2.0),
+        before("free air", (0.5, 0.35), "limits", "air"),
+        before("press", (0.6, 0.45), "limits", "press"),
+        before("slide", (0.5, 0.35), "limits", "slide"),
+        before("slide, four in five at a limit", (0.45, 0.3), "limited", "slide"),
+        lower(
+            "default mesh with patches, press + slide, to a slide of 350 tets before", "×", (1.2, 0.8),
+            records.to_before(default, touching, "limits", "slide"),
+        ),
+        lower("the same, p99/median, to that of fixed work", "×", (1.8, 1.3), extras.get("p99", missing)),
+        lower(
+            "the same, error of force, rms", "%", (0.05, 0.02), records.error(*default, touching),
+        ),
+        lower(
+            f"{UNIT_SIZE} tets, press + slide, to MuJoCo", "×", (0.08, 0.04),
+            records.to_mujoco(UNIT_SIZE, "limits", LEVEL, touching),
+        ),
+        lower(
+            "default mesh with patches, press + slide, to MuJoCo on it", "×", (0.08, 0.04),
+            records.to_mujoco(*default, touching),
+        ),
+        _rate(records, LARGE_SIZE, touching),
+        lower(
+            "patch against element on the same mesh, whole step, press + slide", "×", (1.5, 1.25),
+            extras.get("patch", missing),
+        ),
         _speed_up(records, touching),
-        extra("allocations of compiled code", "allocations", "a step", 0.0, 0.0),
-        extra("process start to ready, nothing compiled", "cold", "s", 40.0, 20.0),
-        extra("process start to ready, compiled before", "cached", "s", 3.0, 1.5),
-    ]
+        lower("allocations of compiled code", "a step", (0.0, 0.0), extras.get("allocations", missing)),
+        lower("process start to ready, nothing compiled", "s", (40.0, 20.0), extras.get("cold", missing)),
+        lower("process start to ready, compiled before", "s", (3.0, 1.5), extras.get("cached", missing)),
+    ]  # fmt: skip
 
 
 def _rate(records: Records, size: int, phases: tuple[str, ...]) -> Figure:
     """Steps a second: how many there are, by the time they take."""
-    key, value, note = Key(size, "limits", "newton"), math.nan, f"needs --sizes {size}"
+    key, value, note = Key(size, "limits", LEVEL), math.nan, f"needs --sizes {size}"
     if key in records.of:
         seconds = records.of[key].seconds[:, records.mask(size, *phases)]
         value, note = 1.0 / median_and_p99(seconds)[0], "one by the median step"
-    return Figure(f"{size:,} tets, press + slide", value, "steps/s", 20.0, 60.0, "higher", note)
+    return Figure(f"{size:,} tets, press + slide", value, "steps/s", 60.0, 200.0, "higher", note)
 
 
 def _speed_up(records: Records, phases: tuple[str, ...]) -> Figure:

@@ -117,17 +117,17 @@ def _work(rounds: int) -> float:
 
 
 def steadiness(runner: Ours, repeats: int, meter: Meter) -> tuple[Floats, Floats]:
-    """Times of the steps of the slide, and of a fixed piece of work run after each of them, (repeats * steps,) [s].
+    """Times of steps that press and slide, and of a fixed piece of work run after each of them, (repeats * steps,) [s].
 
-    The work is one chain of multiplications, as long as the median step of a slide before.
+    The work is one chain of multiplications, as long as the median of these steps before.
     """
     work: Any = numba.njit(_work)
-    slide = runner.motion.phase == PHASES.index("slide")
+    touching = runner.motion.phase > PHASES.index("air")
     rounds, aim = 1000, Record.empty(1, len(runner.given))
     _run(runner, aim, 0, lambda share: None)
     work(rounds)
     for _ in range(5):
-        rounds = max(1, round(rounds * float(np.median(aim.seconds[0, slide])) / _median_time(work, rounds)))
+        rounds = max(1, round(rounds * float(np.median(aim.seconds[0, touching])) / _median_time(work, rounds)))
     ours, reference = np.empty((2, repeats, len(runner.given)))
     with _no_garbage():
         for repeat in range(repeats):
@@ -139,7 +139,7 @@ def steadiness(runner: Ours, repeats: int, meter: Meter) -> tuple[Floats, Floats
                 middle = time.perf_counter()
                 work(rounds)
                 ours[repeat, k], reference[repeat, k] = middle - start, time.perf_counter() - middle
-    return ours[:, slide].ravel(), reference[:, slide].ravel()
+    return ours[:, touching].ravel(), reference[:, touching].ravel()
 
 
 def _median_time(work: Any, rounds: int) -> float:

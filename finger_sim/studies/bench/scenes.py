@@ -22,6 +22,7 @@ MESHES = {
     900: "meshes/finger.vtu",
     2000: "meshes/finger_2000.vtu",
     4000: "meshes/finger_4000.vtu",
+    16000: "meshes/finger_16000.vtu",
 }
 """Shipped meshes, by about how many tetrahedra they have."""
 FLAT = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
@@ -71,7 +72,7 @@ PHASES = ("air", "press", "slide")
 """Sideways in free air; straight down, then held; along the table."""
 AIR, HOLD, SLIDE = 100, 100, 250
 """Steps of the phases at full length, without those of the way down."""
-SCALES = {4000: 0.2}
+SCALES = {4000: 0.2, 16000: 0.05}
 """Share of AIR, HOLD and SLIDE run at a size; 1 where not named."""
 
 CANTILEVER = "beam_stiff"

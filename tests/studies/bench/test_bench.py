@@ -20,6 +20,7 @@ from finger_sim.errors import MissingExtraError
 from finger_sim.physics.clock import STAGES
 from finger_sim.studies.bench import bench as bench_module
 from finger_sim.studies.bench import peers
+from finger_sim.studies.bench.before import BEFORE
 from finger_sim.studies.bench.figures import (
     MUJOCO,
     Figure,
@@ -35,7 +36,8 @@ from finger_sim.studies.bench.figures import (
 from finger_sim.studies.bench.scenes import DEPTH, FLAT, GAP, PHASES, SPEED, Record, finger_scene, press_and_slide
 
 COLUMNS = {
-    "size", "phase", "scene", "contender", "steps", "repeats", "median_us", "p99_us", "ratio_to_mujoco",
+    "size", "phase", "scene", "contender", "steps", "repeats", "median_us", "p99_us",
+    "ratio_to_mujoco", "ratio_to_before",
     "iterations_median", "iterations_max", "residual_max", "converged", "error_rms", "error_max",
     "limit_rows_median", "limited_tets_median", "status",
 }  # fmt: skip
@@ -145,13 +147,13 @@ def test_stages_and_machine_are_told(ran: dict[str, Any]) -> None:
 
 
 def test_figures_are_told(ran: dict[str, Any]) -> None:
-    """Thirteen, each with unit and goals; those not asked for have no value; nothing is allocated."""
-    assert len(ran["figures"]) == 13
+    """Fifteen, each with unit and goals; those not asked for have no value; nothing is allocated."""
+    assert len(ran["figures"]) == 15
     by_name = {figure["name"]: figure for figure in ran["figures"]}
     assert all(figure["unit"] and figure["must"] is not None for figure in ran["figures"])
     assert by_name["allocations of compiled code"]["value"] == 0.0
     for name in (
-        "4,000 tets, press + slide",
+        "16,000 tets, press + slide",
         "patch against element on the same mesh, whole step, press + slide",
         "process start to ready, compiled before",
     ):
@@ -186,29 +188,47 @@ def test_errors_are_shares_of_the_peak() -> None:
 
 
 def test_figures_look_at_the_steps_they_name() -> None:
-    """Of three sliding steps only those with enough tetrahedra at a limit count, on both sides of the ratio."""
+    """Each at its phases, scene and contender, MuJoCo's in the same phase; newton and pgs where both hold many."""
     records = Records()
-    records.phase[350] = np.array([0, 1, 2, 2, 2])
+    records.phase |= {350: np.array([0, 1, 2, 2, 2]), 900: np.array([0, 1, 2, 2, 2])}
 
-    def put(scene: str, contender: str, times: list[float], tets: list[int]) -> None:
-        record = Record.empty(1, 5)
-        record.seconds[0], record.limited_tets[:], record.answer[:] = times, tets, 1.0
-        records.of[Key(350, scene, contender)] = records.reference[Key(350, scene, contender)] = record
+    def put(size: int, scene: str, contender: str, times: list[float], tets: list[int], off: float = 0.0) -> None:
+        record, reference = Record.empty(1, 5), Record.empty(1, 5)
+        record.seconds[0], record.limited_tets[:], record.answer[:], reference.answer[:] = times, tets, 1.0, 1.0
+        record.answer[2:] += off
+        records.of[Key(size, scene, contender)], records.reference[Key(size, scene, contender)] = record, reference
 
-    put("limits", "newton", [1.0, 9.0, 9.0, 3.0, 5.0], [0, 0, 79, 80, 200])
-    put("limits", "lagged", [1.0, 2.0, 3.0, 4.0, 5.0], [0, 0, 79, 80, 200])
-    put("limited", "newton", [1.0, 1.0, 1.0, 1.0, 2.0], [0, 270, 269, 270, 300])
-    put("limited", "pgs", [1.0, 1.0, 1.0, 9.0, 24.0], [0, 269, 300, 300, 300])
-    put("no limits", MUJOCO, [4.0, 10.0, 10.0, 20.0, 60.0], [0] * 5)
-    some, many, air, cheap, steady, *_ = figures(records, {"p99": (1.2, "made up")})
-    assert_allclose(
-        [some.value, many.value, air.value, cheap.value], [4.0 / 40.0, 1.0 / 20.0, 0.25, 3.5 / 15.0], rtol=1e-12
-    )
-    assert steady.value == 1.2
-    speed_up = next(f for f in figures(records, {}) if f.name.startswith("newton against pgs"))
-    assert_allclose(speed_up.value, 16.5 / 1.5, rtol=1e-12)
-    assert [some.reached, many.reached, air.reached, steady.reached] == ["must", "aim", "no", "must"]
-    assert speed_up.reached == "must"
+    put(350, "limits", "newton", [9.0] * 5, [0] * 5)
+    put(350, "limits", "lagged", [1.0, 2.0, 3.0, 4.0, 5.0], [0] * 5)
+    put(350, "limited", "lagged", [1.0, 2.0, 6.0, 6.0, 7.0], [0] * 5)
+    put(350, "limited", "newton", [1.0, 1.0, 1.0, 1.0, 2.0], [0, 270, 269, 270, 300])
+    put(350, "limited", "pgs", [1.0, 1.0, 1.0, 9.0, 24.0], [0, 269, 300, 300, 300])
+    put(350, "no limits", MUJOCO, [4.0, 10.0, 10.0, 20.0, 60.0], [0] * 5)
+    put(900, "limits", "patch lagged", [1.0, 7.0, 8.0, 9.0, 9.0], [0] * 5, off=1e-3)
+    put(900, "no limits", MUJOCO, [1.0, 100.0, 100.0, 100.0, 100.0], [0] * 5)
+    by_name = {figure.name: figure for figure in figures(records, {"p99": (1.2, "made up")})}
+    before = {phase: BEFORE[350, "limits", phase] for phase in PHASES}
+    goals = {
+        "350 tets, free air, to newton before": (1.0 / 4.0 / before["air"], "no"),
+        "350 tets, press, to newton before": (2.0 / 10.0 / before["press"], "no"),
+        "350 tets, slide, to newton before": (4.0 / 20.0 / before["slide"], "no"),
+        "350 tets, slide, four in five at a limit, to newton before": (
+            6.0 / 20.0 / BEFORE[350, "limited", "slide"],
+            "no",
+        ),
+        "default mesh with patches, press + slide, to a slide of 350 tets before": (8.5 / 20.0 / before["slide"], "no"),
+        "the same, p99/median, to that of fixed work": (1.2, "aim"),
+        "the same, error of force, rms": (0.1, "no"),
+        "350 tets, press + slide, to MuJoCo": (3.5 / 15.0, "no"),
+        "default mesh with patches, press + slide, to MuJoCo on it": (8.5 / 100.0, "no"),
+        "newton against pgs, ≥ 270 tets at a limit": (16.5 / 1.5, "must"),
+    }
+    for name, (value, reached) in goals.items():
+        assert_allclose(by_name[name].value, value, rtol=1e-9, err_msg=name)
+        assert by_name[name].reached == reached
+    rows = {(row.phase, row.scene, row.contender): row for row in records.rows() if row.size == 350}
+    assert_allclose(rows["slide", "limits", "lagged"].ratio_to_before, 4.0 / 20.0 / before["slide"], rtol=1e-12)
+    assert math.isnan(rows["slide", "limited", "pgs"].ratio_to_before)
 
 
 def test_goals_hold_at_their_bounds() -> None:
@@ -252,17 +272,14 @@ def test_stage_seconds_fit_into_the_step() -> None:
 
 
 def test_patches_stand_beside_elements(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """With the default mesh two more figures: ratios of medians of runs that took turns, each said with its times."""
+    """With the default mesh one more figure, a ratio of medians of runs that took turns, said with their times."""
     monkeypatch.setattr(bench_module, "CONTENDERS", {900: [("limits", "patch")]})
     monkeypatch.setattr(bench_module, "STAGED", [])
     report = bench_module.bench(bench_module.Options((900,), 1, 0.01, peers=False, startup=False))
     by_name = {figure.name: figure for figure in report.figures}
-    for name in (
-        "patch against element on the same mesh, whole step, press + slide",
-        "default mesh with patches, press + slide, to 350 tets with elements",
-    ):
-        ours, theirs = map(float, re.findall(r"(\d+) µs", by_name[name].note))
-        assert_allclose(by_name[name].value, ours / theirs, rtol=0.02)
+    figure = by_name["patch against element on the same mesh, whole step, press + slide"]
+    ours, theirs = map(float, re.findall(r"(\d+) µs", figure.note))
+    assert_allclose(figure.value, ours / theirs, rtol=0.02)
     assert {row.contender for row in report.rows} == {"patch"}
     assert max(row.error_max for row in report.rows) < 0.03
 
