@@ -70,7 +70,7 @@ _HELD = 0.02  # time that the driven nodes stay before a body settles [s]: comma
 _SLOW = 3e-3
 # Part of the tolerance that a step of `newton` aims at while the driven nodes stay: what it leaves of the residual is
 # what keeps a body at rest moving. Less costs iterations in every held step, more lets it creep.
-_SETTLED = 1e-5
+_SETTLED = 1e-6
 _EXCEEDED = 1.5  # strain/limit from which on LIMIT_EXCEEDED is set
 
 

@@ -6,7 +6,7 @@ import enum
 
 from ..physics.step import CONTACTS, REACH, SPEED, Status
 
-STILL, STILL_TIME = 1e-7, 0.01
+STILL, STILL_TIME = 1e-6, 0.01
 """A body is at rest when for so long [s] no node was faster than this part of the tetrahedra's size a second."""
 MOST_REJECTIONS = 20
 """Steps rejected in a row that restore a body: one that moved rigidly with its bone for so long does not come back."""

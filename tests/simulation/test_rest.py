@@ -79,6 +79,15 @@ def test_it_falls_asleep_and_computes_nothing() -> None:
     assert sim.step(None).contact_wrench[2] < 2.0
 
 
+@pytest.mark.parametrize("depth", [1.5e-3, 2e-3])
+def test_what_the_solver_leaves_keeps_nothing_awake(depth: float) -> None:
+    """The shipped finger, hundreds of tetrahedra at a limit, factors of an older step: asleep within 0.2 s."""
+    sim, hold = pressed(Scene.load("finger_haptic"), depth)
+    outs = [sim.step(hold) for _ in range(200)]
+    assert outs[-1].asleep
+    assert outs[-1].limited_tets > 300
+
+
 def test_it_wakes_as_if_it_had_not_slept() -> None:
     """After the next command the wrench is that of a body that was computed all the time, to 1e-6 of it."""
     slept, hold = pressed(haptic(), 1.5e-3)
