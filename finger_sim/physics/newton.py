@@ -40,6 +40,7 @@ from .work import CORRECTIONS
 _SLACK = 0.5  # a line search ends where dᵀr is within so much of what it was to either side of 0
 _TRIALS = 12
 _STALLED, _PROGRESS = 20, 0.9  # so many iterations without that much progress end a step
+_HARD = 2  # after so many, it is not patient any more
 
 
 @stage
@@ -75,7 +76,7 @@ def newton(
     worth = model.pattern.worth
     stale = factors[0] == NONE or model.max_iterations <= worth  # of few, none is spent on old factors
     patience = 2 * worth if anew else worth  # a step that makes a matrix or factors is long enough
-    least, least_missing, iterations, stalled = residual, missing, 0, 0
+    least, least_missing, iterations, stalled, made = residual, missing, 0, 0, 0
     clear(best_change)
     copy_first(best, lam, packed)
     copy_groups(tensor, tensor.best, tensor.lam)
@@ -85,7 +86,8 @@ def newton(
         if stale:
             lap(state.laps, state.time, SOLVE)
             definite = refactor(model, state, h, contacts, rows)
-            patience = 2 * worth
+            made += 1
+            patience = 2 * worth if made == 1 else worth
             lap(state.laps, state.time, FACTOR)
             if not definite:
                 return iterations, residual, False
@@ -115,7 +117,7 @@ def newton(
             copy_groups(tensor, tensor.best, tensor.lam)
         if stalled >= _STALLED or not missing < math.inf:
             break
-        most = min(patience, (model.max_iterations - iterations) // 2)
+        most = min(patience, (model.max_iterations - iterations) // 2) if stalled < _HARD else worth
         stale = residual >= before or math.log(tolerance / residual) < most * math.log(residual / before)
     copy_first(lam, best, packed)
     copy_groups(tensor, tensor.lam, tensor.best)
