@@ -55,7 +55,7 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int) -> 
     load_elastic(model, state)
     for c in range(contacts // 3):
         row = 3 * c
-        if stiffness[row] > 0.0:
+        if stiffness[row] > 0.0 or stiffness[row + 1] > 0.0:
             normal, tangent = h * h * stiffness[row], h * h * stiffness[row + 1]
             add_contact(D, row_slot[row, 0], J, row, load4(slip, c, 0), normal, tangent)
     patched, patches, entries = model.patches.volume.shape[0] > 0, model.patches.lane, model.patches.tet_place

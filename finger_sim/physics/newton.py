@@ -14,6 +14,13 @@ has the pattern of A. It is kept symmetric; that friction grows with the normal 
 second solve with new factors where nodes slip. A step is taken whole unless dᵀr says that it went too far: r is
 minus the gradient of a convex merit function (but for friction), so that its zero along d is the least merit. What is
 kept is the iterate with the least force missing, so that a step that stops early is never worse than its start.
+
+Friction's bound moves with the normal force, so that a search may go round: nodes that come down in one step slip, let
+go and stick in turn. One that does not get on is solved with bounds that are held, again the zero of a merit function
+that is convex, and then with those of the normal forces that came out, until they agree (Tresca friction and its fixed
+point: Nečas, Jarušek and Haslinger 1980, *On the solution of the variational inequality to the Signorini problem with
+small friction*).
+
 r itself is exact, but H is not formed and factored in every iteration, nor in every step: factors once made serve until
 they would need more iterations than new ones are worth. Most steps make none.
 """
@@ -40,7 +47,8 @@ from .work import CORRECTIONS
 _SLACK = 0.5  # a line search ends where dᵀr is within so much of what it was to either side of 0
 _TRIALS = 12
 _STALLED, _PROGRESS = 20, 0.9  # so many iterations without that much progress end a step
-_HARD = 2  # after so many, it is not patient any more
+_HARD, _STALLS = 2, 6  # after so many, it is not patient any more; friction's bounds are held
+_TURNS = 30  # iterations with the same bounds, at most
 
 
 @stage
@@ -76,11 +84,24 @@ def newton(
     worth = model.pattern.worth
     stale = factors[0] == NONE or model.max_iterations <= worth  # of few, none is spent on old factors
     patience = 2 * worth if anew else worth  # a step that makes a matrix or factors is long enough
-    least, least_missing, iterations, stalled, made = residual, missing, 0, 0, 0
-    clear(best_change)
-    copy_first(best, lam, packed)
-    copy_groups(tensor, tensor.best, tensor.lam)
-    while residual > tolerance and iterations < model.max_iterations:
+    least, least_missing, iterations, stalled, made, turns = residual, missing, 0, 0, 0, 0
+    keep(state, packed)
+    while iterations < model.max_iterations:
+        if residual <= tolerance or turns >= _TURNS:
+            if own.holds[0] == 0:
+                break
+            residual, missing = evaluate_at(model, state, h, contacts, rows, change, False)
+            if missing < least_missing:
+                stalled = 0 if missing < _PROGRESS * least_missing else stalled + 1
+                least, least_missing = residual, missing
+                keep(state, packed)
+            else:
+                stalled += 1
+            if residual <= tolerance or stalled >= _STALLED:
+                break
+            hold_friction(model, state, contacts, lam)
+            residual, missing = evaluate_at(model, state, h, contacts, rows, change, True)
+            turns, stale = 0, True
         if model.deadline > 0.0 and iterations > 0 and seconds(state.time) - began > model.deadline:
             break
         if stale:
@@ -90,6 +111,7 @@ def newton(
             patience = 2 * worth if made == 1 else worth
             lap(state.laps, state.time, FACTOR)
             if not definite:
+                own.holds[0] = 0
                 return iterations, residual, False
         before = residual
         ascent = newton_direction(model, state, h, contacts, stale)
@@ -108,23 +130,41 @@ def newton(
             part = low + (high - low) * max(0.05, min(0.95, low_ahead / (low_ahead - high_ahead)))
         iterations += 1
         copy(change, tried)
-        stalled += 1
-        if missing < least_missing:
-            stalled = 0 if missing < _PROGRESS * least_missing else stalled
-            least, least_missing = residual, missing
-            copy(best_change, change)
-            copy_first(best, lam, packed)
-            copy_groups(tensor, tensor.best, tensor.lam)
-        if stalled >= _STALLED or not missing < math.inf:
+        if not missing < math.inf:
             break
+        if own.holds[0] != 0:
+            turns += 1
+        else:
+            stalled += 1
+            if missing < least_missing:
+                stalled = 0 if missing < _PROGRESS * least_missing else stalled
+                least, least_missing = residual, missing
+                keep(state, packed)
+            if stalled >= _STALLS and contacts > 0:
+                copy(change, best_change)
+                hold_friction(model, state, contacts, best)
+                residual, missing = evaluate_at(model, state, h, contacts, rows, change, True)
+                turns, stale = 0, True
+                continue
+            if stalled >= _STALLED:
+                break
         most = min(patience, (model.max_iterations - iterations) // 2) if stalled < _HARD else worth
         stale = residual >= before or math.log(tolerance / residual) < most * math.log(residual / before)
+    own.holds[0] = 0
     copy_first(lam, best, packed)
     copy_groups(tensor, tensor.lam, tensor.best)
     if model.has_bone:
         bone_residual(model, state, h, best_change, own.next_residual)
     add_to_velocities(model, state, best_change)
     return iterations, least, True
+
+
+@stage
+def keep(state: State, packed: int) -> None:
+    """Where the search is, as the best so far: velocities, and the forces of rows, the first `packed` not in groups."""
+    copy(state.newton.best_change, state.newton.change)
+    copy_first(state.best, state.lam, packed)
+    copy_groups(state.tensor, state.tensor.best, state.tensor.lam)
 
 
 @stage
@@ -202,30 +242,49 @@ def evaluate(model: Model, state: State, h: float, contacts: int, rows: int, cha
 
 
 @stage
+def evaluate_at(
+    model: Model, state: State, h: float, contacts: int, rows: int, change: Floats, holds: bool
+) -> tuple[float, float]:
+    """`evaluate` with what it adds to; holds: with friction's bounds as `hold_friction` left them."""
+    state.newton.holds[0] = 1 if holds else 0
+    remainder_at(model, state, change)
+    return evaluate(model, state, h, contacts, rows, change)
+
+
+@stage
+def hold_friction(model: Model, state: State, contacts: int, lam: Floats) -> None:
+    """Bounds of friction that do not change with the normal forces, from those in lam."""
+    for c in range(contacts // 3):
+        state.newton.bound[c] = model.mu_friction * lam[3 * c]
+
+
+@stage
 def contact_forces(model: Model, state: State, h: float, contacts: int, change: Floats) -> float:
     """The part of contacts in `evaluate`, with slip directions; the largest normal force."""
     own, J, lam, row_slot = state.newton, state.J, state.lam, state.row_slot
     r, stiffness, slip = own.next_residual, own.stiffness, own.slip
     constant, compliance, mu_friction = state.constant, state.compliance, model.mu_friction
+    holds, bound = own.holds[0] != 0, own.bound
     largest = 0.0
     for c in range(contacts // 3):
         row = 3 * c
         slot = row_slot[row, 0]
         d = load4(change, slot, 0)
         n, t1, t2 = load4(J, row, 0), load4(J, row + 1, 0), load4(J, row + 2, 0)
-        normal = -(constant[row] + h * sum3(n * d)) / compliance[row]
+        normal = max(0.0, -(constant[row] + h * sum3(n * d)) / compliance[row])
+        cone = bound[c] if holds else mu_friction * normal
         slip[c] = 0.0
-        if normal > 0.0:
+        if normal > 0.0 or cone > 0.0:
             a = -(constant[row + 1] + h * sum3(t1 * d)) / compliance[row + 1]
             b = -(constant[row + 2] + h * sum3(t2 * d)) / compliance[row + 2]
-            size, cone = math.sqrt(a * a + b * b), mu_friction * normal
-            share = 1.0
+            size, share = math.sqrt(a * a + b * b), 1.0
             if size > cone:
                 share = cone / size
                 store4(slip, c, 0, t1 * (a / size) + t2 * (b / size))
-                slip[c, 3] = mu_friction
+                slip[c, 3] = 0.0 if holds else mu_friction
             lam[row], lam[row + 1], lam[row + 2] = normal, a * share, b * share
-            stiffness[row], stiffness[row + 1] = 1.0 / compliance[row], share / compliance[row]
+            stiffness[row] = 1.0 / compliance[row] if normal > 0.0 else 0.0
+            stiffness[row + 1] = share / compliance[row + 1]
             force = n * (h * normal) + t1 * (h * a * share) + t2 * (h * b * share)
             store4(r, slot, 0, load4(r, slot, 0) + force)
             largest = max(largest, normal)

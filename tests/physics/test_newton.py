@@ -15,7 +15,11 @@ from step_problem import LIMITS, ORTHOGONAL, Problem, check_against_qp, check_wi
 
 from finger_sim import Pose, Scene, SceneError, Simulator, Status
 from finger_sim.physics.ready import ready
+from finger_sim.physics.rotations import matrix
 from finger_sim.physics.strain_limits import SOLVER_GAP
+from finger_sim.scene.finger_shape import first_touch
+from finger_sim.studies.at_rest import at_rest
+from finger_sim.studies.mesh_error import finger_on
 
 EXACT = {"method": "newton", "tolerance": 1e-10, "max_iterations": 200, "settle": False}
 BOTH = pytest.mark.parametrize("projection", ["hyperbolic", "tensor"])
@@ -242,6 +246,26 @@ def test_full_slip_is_on_the_cone(mu: float, towards: float) -> None:
     assert force[2] > 0.05
     assert np.linalg.norm(force[:2]) == pytest.approx(mu * force[2], rel=5e-3)
     assert_allclose(force[:2] / np.linalg.norm(force[:2]), -along, rtol=0, atol=0.01)
+
+
+def test_many_nodes_come_down_at_once() -> None:
+    """A stiff pad with friction, 0.3 mm a step of 10 ms: every step is solved, its forces within Coulomb's cone.
+
+    Without limits, which would let fewer nodes down at once.
+    """
+    meant = finger_on("finger", limits=False)
+    scene = at_rest(meant).with_values({"solver.max_iterations": 200})
+    sim, down = Simulator(scene), first_touch(matrix(FLAT.as_quat()))
+    sim.reset(pose((0, 0, down + 1e-4), FLAT))
+    for k in range(1, 8):
+        for _ in range(5):
+            out = sim.step(pose((0, 0, down + 1e-4 - 3e-4 * k), FLAT))
+            assert out.status == Status.OK
+            assert out.residual <= scene.solver.tolerance
+            forces, mu = sim.contact_forces, meant.plane.friction
+            assert (np.hypot(forces[:, 0], forces[:, 1]) <= mu * forces[:, 2] * (1.0 + 1e-9) + 1e-15).all()
+        assert out.contacts >= 4
+    assert out.contact_wrench[2] > 0.5
 
 
 @for_each("share", [0.5, 0.95])
