@@ -13,6 +13,7 @@ import numpy as np
 from ..arrays import Floats, read_only
 from ..errors import SceneError
 from ..haptics.coupling import device_wrench, outside, set_down, spring_wrench
+from ..haptics.following import KERNELS as DRIVE_KERNELS
 from ..haptics.following import Follower
 from ..physics import step as stepping
 from ..physics.clock import STAGES
@@ -63,7 +64,6 @@ class Simulator:
         x, y, z = self._rest_driven.mean(axis=0).tolist() if self._driven else (0.0, 0.0, 0.0)
         self._centre: Vec3 = (x, y, z)
         self._given = self._good = self.pose = scene.initial_pose
-        self._drive = Drive(self.pose, self._centre if self._driven else None, self._yields)
         self._ground = Ground(scene.plane) if scene.plane is not None else None
         self._guard = Guard(
             self._model.length, float(np.linalg.norm(self.mesh.points, axis=1).max()),
@@ -74,7 +74,8 @@ class Simulator:
         """How far above its command the last reset put the body, as it would have been in the plane [m]."""
         self._was_set_down = False
         self._steps, self._timed, self._touch = 0, timed, touch
-        with compiling(tell, KERNELS):
+        with compiling(tell, (*KERNELS, *DRIVE_KERNELS)):
+            self._drive = Drive(self.pose, self._centre if self._driven else None, self._yields)
             self._ready = ready(self._model, self._state)
             # Every kernel that a run will call is compiled or loaded here.
             self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
