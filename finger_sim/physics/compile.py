@@ -25,8 +25,9 @@ import llvmlite
 import llvmlite.binding
 import numba
 import numpy as np
+from numba.core import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
-from numba.extending import register_jitable
+from numba.core.typing.templates import infer_global
 
 from . import lowering  # noqa: F401  (lanes mean nothing to the compiler without it)
 from .folders import UnsafeError, alone, private, read_only, use
@@ -52,6 +53,8 @@ LOCK = "compiling"
 
 _PACKAGE = Path(__file__).parents[1]
 _log = logging.getLogger(__name__)
+_shared: dict[Any, Any] = {}
+"""What kernels call in place of functions that Python calls, too."""
 _turns: list[_Turn] = []
 """Of the blocks of `compiling` that this process is in."""
 _damaged: list[str] = []
@@ -204,8 +207,11 @@ def formula(function: Function) -> Function:
 
 
 def shared(function: Function) -> Function:
-    """A function of numbers and tuples that Python calls as it is, and compiled code as one of its own."""
-    return cast(Function, register_jitable(error_model="numpy", fastmath=FASTMATH)(function))
+    """A function of plain numbers that Python calls as it is, and kernels call by the same name, compiled."""
+    if not numba.config.DISABLE_JIT:
+        _shared[function] = _compiled(function, called_from_python=False)
+        infer_global(function, types.Dispatcher(_shared[function]))
+    return function
 
 
 def _compiled(function: Function, called_from_python: bool, inline: bool = False) -> Function:

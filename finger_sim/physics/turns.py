@@ -8,11 +8,11 @@ from typing import Any
 from numba.extending import overload
 
 from .compile import FASTMATH, shared
-from .rotations import Quaternion, angle, normalised, rotation_vector, slerp
+from .rotations import Quaternion, angle, matrix_entries, normalised, rotation_vector, slerp
 
-__all__ = ["Quaternion", "angle", "normalised", "rotation_vector", "slerp"]
+__all__ = ["Quaternion", "angle", "matrix_entries", "normalised", "rotation_vector", "slerp"]
 
-for _function in (angle, normalised, rotation_vector, slerp):
+for _function in (angle, matrix_entries, normalised, rotation_vector, slerp):
     shared(_function)
 
 
