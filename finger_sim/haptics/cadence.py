@@ -9,9 +9,14 @@ for the commands before.
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from typing import Any, NamedTuple
 
-from .path import Numbers
+from ..arrays import Floats
+from ..physics.compile import formula, stage
+from ..physics.records import side_by_side
+from .path import Numbers, clear, read, write
 
 REMEMBERED = 0.5
 """Least time for which extremes are remembered [s]; twice that at most."""
@@ -29,116 +34,204 @@ LEVER = 0.05
 """A turn of 1 rad counts as a way of this length where velocities are compared [m]."""
 
 
-class Cadence:
-    """Of one stream of commands. Times are in s, of any one clock.
+class Extremes(NamedTuple):
+    """Largest and smallest of what was added lately: in this stretch of REMEMBERED, and in the one before; (1,) each.
 
-    interval : mean time between commands; 0 until there are two
-    jitter   : mean deviation of their receipt from even times
-    count    : commands heard, FITTED at most
+    smallest, largest     : of both stretches
+    begin                 : of this stretch [s]
+    low, high             : in this stretch
+    low_before, high_before : in the one before
     """
 
-    def __init__(self, received: float, at: Numbers) -> None:
-        self.interval = self.jitter = 0.0
-        self.count = 0
-        self.time = received
-        """That the last command was meant for."""
-        self.received = received
-        """When it came."""
-        self._begin = self._even = received
-        self._waits, self._gaps = _Extremes(), _Extremes()
-        self._mean_wait = 0.0
-        self._at = at
-        self._way: Numbers | None = None  # from the command before to the last
-        self._square = 0.0  # of it
-        self._by_receipt = self._by_step = 0.0  # one over the time that it took [1/s]
-        self._unrest_by_receipt = self._unrest_by_step = 0.0  # mean change of the hand's velocity by either time
+    smallest: Floats
+    largest: Floats
+    begin: Floats
+    low: Floats
+    high: Floats
+    low_before: Floats
+    high_before: Floats
 
-    @property
-    def known(self) -> bool:
-        """Whether enough commands came to tell their rate."""
-        return self.count >= BEGINNING and self.interval > 0.0
 
-    @property
-    def longest_wait(self) -> float:
-        """Longest time that a command lately had to last until the next one was there; 0 until there are two."""
-        return self._waits.largest
+class Cadence(NamedTuple):
+    """Of one stream of commands. Times are in s, of any one clock; (1,) each, unless said.
 
-    @property
-    def spread(self) -> float:
-        """Longest less shortest interval between two commands lately."""
-        return max(0.0, self._gaps.largest - self._gaps.smallest)
+    interval  : mean time between commands; 0 until there are two
+    jitter    : mean deviation of their receipt from even times
+    commands  : heard after the first, FITTED at most; -1: there was none
+    time      : that the last command was meant for
+    received  : when it came
+    begin     : when the first came
+    even      : the even time of the last
+    waits     : how long commands had to last until the next one was there
+    gaps      : between the receipt of two
+    mean_wait : of the waits; 0 before the first
+    at        : (7,) numbers of the last pose that was another one than before
+    way       : (7,) from the one before to it, turns by LEVER; zero before the second
+    square    : of the way
+    by_receipt, by_step               : one over the time that it took [1/s]: as received, and by even times
+    unrest_by_receipt, unrest_by_step : mean change of the hand's velocity by either time
+    """
 
-    def hear(self, received: float, now: float, at: Numbers) -> float:
-        """The next command came, and is followed from `now` on; the time that it was meant for, later than the last."""
-        gap, wait = received - self.received, now - self.time
-        self.received = received
-        self._gaps.add(now, gap)
-        mean = self._mean_wait = self._mean_wait + (wait - self._mean_wait) / LATELY if self._mean_wait else wait
-        if wait < OUTLIER * mean:
-            self._waits.add(now, wait)
-        step = self._fit(received)
-        if at != self._at:
-            self._compare(gap, step, at)
-        even, uneven = self._unrest_by_step**4, self._unrest_by_receipt**4
-        share = uneven / (uneven + even) if self.count > BEGINNING and uneven + even > 0.0 else 0.0
-        self.time = max(received + share * (self._even - received), self.time + 1e-9)
-        return self.time
+    interval: Floats
+    jitter: Floats
+    commands: Floats
+    time: Floats
+    received: Floats
+    begin: Floats
+    even: Floats
+    mean_wait: Floats
+    at: Floats
+    way: Floats
+    square: Floats
+    by_receipt: Floats
+    by_step: Floats
+    unrest_by_receipt: Floats
+    unrest_by_step: Floats
+    waits: Extremes
+    gaps: Extremes
 
-    def _fit(self, received: float) -> float:
-        """Fits the line; the even time of the next command after that of the one before."""
-        k = self.count = min(self.count + 1, FITTED)
-        if k <= 2:
-            before, self._even = self._even, received
-            self.interval = (received - self._begin) / k
-            return received - before
-        step = self.interval
-        off = received - (self._even + step)
-        self._even += step + off * 2.0 * (2.0 * k - 1.0) / (k * (k + 1.0))
-        self.interval = max(self.interval + off * 6.0 / (k * (k + 1.0)), 0.0)
-        self.jitter += (abs(off) - self.jitter) / min(k - 2, LATELY)
+
+@dataclasses.dataclass(frozen=True)
+class Rhythm:
+    """What is known of a cadence, as plain numbers; see there.
+
+    count        : commands heard after the first, FITTED at most
+    known        : whether enough commands came to tell their rate
+    longest_wait : longest time that a command lately had to last until the next one was there; 0 until there are two
+    spread       : longest less shortest interval between two commands lately
+    """
+
+    interval: float
+    jitter: float
+    count: int
+    time: float
+    received: float
+    known: bool
+    longest_wait: float
+    spread: float
+
+
+def build_cadence() -> Cadence:
+    """Before the first command."""
+    waits, gaps = (Extremes(**side_by_side(Extremes)) for _ in range(2))
+    fields: dict[str, Any] = {**side_by_side(Cadence, at=7, way=7, waits=0, gaps=0), "waits": waits, "gaps": gaps}
+    cadence = Cadence(**fields)
+    cadence.commands[0] = -1.0
+    return cadence
+
+
+def rhythm(cadence: Cadence) -> Rhythm | None:
+    """None before the first command."""
+    count = int(cadence.commands[0])
+    if count < 0:
+        return None
+    interval, jitter, time, received, longest, largest, smallest = (
+        float(field[0])
+        for field in (
+            cadence.interval, cadence.jitter, cadence.time, cadence.received,
+            cadence.waits.largest, cadence.gaps.largest, cadence.gaps.smallest,
+        )
+    )  # fmt: skip
+    known = count >= BEGINNING and interval > 0.0
+    return Rhythm(interval, jitter, count, time, received, known, longest, max(0.0, largest - smallest))
+
+
+@stage
+def begin(cadence: Cadence, received: float, at: Numbers) -> None:
+    """The first command came; nothing is left of what was before."""
+    cadence.interval[0] = cadence.jitter[0] = cadence.commands[0] = cadence.mean_wait[0] = 0.0
+    cadence.time[0] = cadence.received[0] = cadence.begin[0] = cadence.even[0] = received
+    write(cadence.at, at)
+    clear(cadence.way)
+    cadence.square[0] = cadence.by_receipt[0] = cadence.by_step[0] = 0.0
+    cadence.unrest_by_receipt[0] = cadence.unrest_by_step[0] = 0.0
+    _empty(cadence.waits)
+    _empty(cadence.gaps)
+
+
+@stage
+def hear(cadence: Cadence, received: float, now: float, at: Numbers) -> float:
+    """The next command came, and is followed from `now` on; the time that it was meant for, later than the last."""
+    gap, wait, mean = received - cadence.received[0], now - cadence.time[0], cadence.mean_wait[0]
+    cadence.received[0] = received
+    _add(cadence.gaps, now, gap)
+    mean = mean + (wait - mean) / LATELY if mean != 0.0 else wait
+    cadence.mean_wait[0] = mean
+    if wait < OUTLIER * mean:
+        _add(cadence.waits, now, wait)
+    step = _fit(cadence, received)
+    if at != read(cadence.at):
+        _compare(cadence, gap, step, at)
+    even, uneven = cadence.unrest_by_step[0] ** 4, cadence.unrest_by_receipt[0] ** 4
+    share = uneven / (uneven + even) if cadence.commands[0] > BEGINNING and uneven + even > 0.0 else 0.0
+    meant: float = max(received + share * (cadence.even[0] - received), cadence.time[0] + 1e-9)
+    cadence.time[0] = meant
+    return meant
+
+
+@formula
+def spread(cadence: Cadence) -> float:
+    """Longest less shortest interval between two commands lately [s]."""
+    longer: float = max(0.0, cadence.gaps.largest[0] - cadence.gaps.smallest[0])
+    return longer
+
+
+@stage
+def _fit(cadence: Cadence, received: float) -> float:
+    """Fits the line; the even time of the next command after that of the one before."""
+    k = min(cadence.commands[0] + 1.0, float(FITTED))
+    cadence.commands[0] = k
+    step: float = cadence.interval[0]
+    if k <= 2.0:
+        step = received - cadence.even[0]
+        cadence.even[0] = received
+        cadence.interval[0] = (received - cadence.begin[0]) / k
         return step
-
-    def _compare(self, gap: float, step: float, at: Numbers) -> None:
-        """How much the hand's velocity changes by receipt, and by even times."""
-        shortest = max(0.05 * self.interval, 1e-6)
-        by_receipt = 1.0 / (gap if gap > shortest else shortest)
-        by_step = 1.0 / (step if step > shortest else shortest)
-        a, b, c, d, e, f, g = self._at
-        h, i, j, k, m, n, o = at
-        turn = 2.0 * LEVER
-        a, b, c, d, e, f, g = h - a, i - b, j - c, turn * (k - d), turn * (m - e), turn * (n - f), turn * (o - g)
-        square = a * a + b * b + c * c + d * d + e * e + f * f + g * g
-        before, old, p, q = self._way, self._square, self._by_receipt, self._by_step
-        self._at, self._way, self._square = at, (a, b, c, d, e, f, g), square
-        self._by_receipt, self._by_step = by_receipt, by_step
-        if before is None:
-            return
-        h, i, j, k, m, n, o = before
-        across = a * h + b * i + c * j + d * k + e * m + f * n + g * o
-        change = by_receipt * by_receipt * square - 2.0 * by_receipt * p * across + p * p * old
-        self._unrest_by_receipt += ((math.sqrt(change) if change > 0.0 else 0.0) - self._unrest_by_receipt) / LATELY
-        change = by_step * by_step * square - 2.0 * by_step * q * across + q * q * old
-        self._unrest_by_step += ((math.sqrt(change) if change > 0.0 else 0.0) - self._unrest_by_step) / LATELY
+    off = received - (cadence.even[0] + step)
+    cadence.even[0] += step + off * 2.0 * (2.0 * k - 1.0) / (k * (k + 1.0))
+    cadence.interval[0] = max(step + off * 6.0 / (k * (k + 1.0)), 0.0)
+    cadence.jitter[0] += (abs(off) - cadence.jitter[0]) / min(k - 2.0, float(LATELY))
+    return step
 
 
-class _Extremes:
-    """Largest and smallest of what was added lately: in this stretch of REMEMBERED, and in the one before."""
+@stage
+def _compare(cadence: Cadence, gap: float, step: float, at: Numbers) -> None:
+    """How much the hand's velocity changes by receipt, and by even times."""
+    shortest = max(0.05 * cadence.interval[0], 1e-6)
+    by_receipt, by_step = 1.0 / max(gap, shortest), 1.0 / max(step, shortest)
+    square = across = 0.0
+    for i in range(7):
+        way = (at[i] - cadence.at[i]) * (1.0 if i < 3 else 2.0 * LEVER)
+        square += way * way
+        across += way * cadence.way[i]
+        cadence.way[i] = way
+    old, p, q = cadence.square[0], cadence.by_receipt[0], cadence.by_step[0]
+    write(cadence.at, at)
+    cadence.square[0], cadence.by_receipt[0], cadence.by_step[0] = square, by_receipt, by_step
+    if p == 0.0:  # the first way
+        return
+    change = by_receipt * by_receipt * square - 2.0 * by_receipt * p * across + p * p * old
+    cadence.unrest_by_receipt[0] += (math.sqrt(max(change, 0.0)) - cadence.unrest_by_receipt[0]) / LATELY
+    change = by_step * by_step * square - 2.0 * by_step * q * across + q * q * old
+    cadence.unrest_by_step[0] += (math.sqrt(max(change, 0.0)) - cadence.unrest_by_step[0]) / LATELY
 
-    def __init__(self) -> None:
-        self._begin = -math.inf
-        self._before = (math.inf, 0.0)  # smallest, largest
-        self._low, self._high = self._before  # of this stretch
-        self.smallest, self.largest = self._before
 
-    def add(self, now: float, value: float) -> None:
-        if now - self._begin > REMEMBERED:
-            self._before = (self._low, self._high) if now - self._begin < 2.0 * REMEMBERED else (math.inf, 0.0)
-            self._low, self._high, self._begin = value, max(0.0, value), now
-            self.smallest, self.largest = min(self._before[0], self._low), max(self._before[1], self._high)
-            return
-        if value < self._low:
-            self._low = value
-            self.smallest = min(self._before[0], value)
-        if value > self._high:
-            self._high = value
-            self.largest = max(self._before[1], value)
+@formula
+def _empty(extremes: Extremes) -> None:
+    extremes.begin[0] = -math.inf
+    extremes.smallest[0] = extremes.low[0] = extremes.low_before[0] = math.inf
+    extremes.largest[0] = extremes.high[0] = extremes.high_before[0] = 0.0
+
+
+@stage
+def _add(extremes: Extremes, now: float, value: float) -> None:
+    since = now - extremes.begin[0]
+    if since > REMEMBERED:
+        lately = since < 2.0 * REMEMBERED
+        extremes.low_before[0] = extremes.low[0] if lately else math.inf
+        extremes.high_before[0] = extremes.high[0] if lately else 0.0
+        extremes.low[0], extremes.high[0], extremes.begin[0] = value, max(0.0, value), now
+    extremes.low[0] = min(extremes.low[0], value)
+    extremes.high[0] = max(extremes.high[0], value)
+    extremes.smallest[0] = min(extremes.low_before[0], extremes.low[0])
+    extremes.largest[0] = max(extremes.high_before[0], extremes.high[0])

@@ -2,7 +2,8 @@
 
 Kinematic coupling: the driven nodes follow the commanded pose exactly. Virtual coupling: they are a rigid body on a
 damped spring to it (physics/bone.py). Both no faster than the scene allows, so that a jump of the command (a tracker
-that re-acquires, a first message from afar) gives a bounded motion. How commands become a path: following.py.
+that re-acquires, a first message from afar) gives a bounded motion. How commands become a path: following.py. A step of
+it in compiled code: leading.py.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ import math
 import numpy as np
 
 from ..arrays import Floats
-from ..physics.rotations import angle, rotation_vector, slerp
+from ..physics.compile import shared
+from ..physics.turns import angle, rotation_vector, slerp
 from ..scene import Coupling, Pose, Vec3, place
+from .path import Numbers, numbers, turn
 
 LONGEST_GAP = 0.1
 """Most time that a command, or a target of the plane, counts as having taken since the one before [s]."""
@@ -24,29 +27,23 @@ TOUCHING = 1e-6
 
 def follow(coupling: Coupling, pose: Pose, command: Pose, dt: float) -> tuple[Pose, bool]:
     """The pose after `dt` [s] on the way from `pose` to `command`, and whether a speed limit held it back."""
-    fraction = 1.0
-    distance = math.dist(pose.position, command.position)
-    turn = angle(pose.orientation, command.orientation) if pose.orientation != command.orientation else 0.0
-    if distance > coupling.max_speed * dt:
-        fraction = coupling.max_speed * dt / distance
-    if turn > coupling.max_angular_speed * dt:
-        fraction = min(fraction, coupling.max_angular_speed * dt / turn)
-    return (command, False) if fraction == 1.0 else (between(pose, command, fraction), True)
+    way, turn = coupling.max_speed * dt, coupling.max_angular_speed * dt
+    part = allowed_part(numbers(pose), numbers(command), way, turn)
+    return between(pose, command, part), part != 1.0
 
 
-def stop_at_plane(normal: Vec3, point: Vec3, centre: Vec3, start: Pose, end: Pose) -> tuple[Pose, bool]:
-    """Where a bone comes on its way from `start` to `end`, its centre not past the plane; whether that stopped it.
-
-    normal: unit, outward; point: of the plane [m], world. centre: the mean of the driven nodes, as read [m].
-    A bone that is past the plane already may not go deeper.
-    """
-    after = _height(normal, point, centre, end)
-    if after >= 0.0:
-        return end, False
-    before = _height(normal, point, centre, start)
-    if after >= before:
-        return end, False
-    return between(start, end, before / (before - after) if before > 0.0 else 0.0), True
+@shared
+def allowed_part(start: Numbers, goal: Numbers, way: float, most_turn: float) -> float:
+    """Of the way from start to goal: where neither way [m] nor turn [rad] is longer than these."""
+    part = 1.0
+    distance = math.hypot(start[0] - goal[0], start[1] - goal[1], start[2] - goal[2])
+    if distance > way:
+        part = way / distance
+    if turn(start) != turn(goal):
+        turned = angle(turn(start), turn(goal))
+        if turned > most_turn:
+            part = min(part, most_turn / turned)
+    return part
 
 
 def set_down(normal: Vec3, point: Vec3, centre: Vec3, skin: Floats, pose: Pose) -> Pose:
@@ -54,7 +51,7 @@ def set_down(normal: Vec3, point: Vec3, centre: Vec3, skin: Floats, pose: Pose) 
 
     For a bone that yields: contact would throw it out at its depth over dt. skin: see `outside`.
     """
-    return pose if _height(normal, point, centre, pose) >= 0.0 else outside(normal, point, skin, pose)
+    return pose if height(normal, point, centre, numbers(pose)) >= 0.0 else outside(normal, point, skin, pose)
 
 
 def outside(normal: Vec3, point: Vec3, skin: Floats, pose: Pose) -> Pose:
@@ -69,56 +66,49 @@ def outside(normal: Vec3, point: Vec3, skin: Floats, pose: Pose) -> Pose:
     return Pose((x, y, z), pose.orientation)
 
 
-def _height(normal: Vec3, point: Vec3, centre: Vec3, pose: Pose) -> float:
-    """Of the bone's centre over the plane [m]."""
-    x, y, z, w = pose.orientation
-    a, b, c = centre
+@shared
+def height(normal: Vec3 | Floats, point: Vec3 | Floats, centre: Vec3 | Floats, at: Numbers) -> float:
+    """Of the bone's centre over the plane [m], where the bone has a pose of these numbers."""
+    x, y, z, w = turn(at)
+    a, b, c = centre[0], centre[1], centre[2]
     s, t, u = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
-    (n0, n1, n2), (p0, p1, p2), (q0, q1, q2) = normal, pose.position, point
-    return (
-        n0 * (a + w * s + y * u - z * t + p0 - q0)
-        + n1 * (b + w * t + z * s - x * u + p1 - q1)
-        + n2 * (c + w * u + x * t - y * s + p2 - q2)
+    over: float = (
+        normal[0] * (a + w * s + y * u - z * t + at[0] - point[0])
+        + normal[1] * (b + w * t + z * s - x * u + at[1] - point[1])
+        + normal[2] * (c + w * u + x * t - y * s + at[2] - point[2])
     )
+    return over
 
 
 def between(a: Pose, b: Pose, fraction: float) -> Pose:
     """The pose `fraction` of the way from a to b: position on the line, orientation on the shorter arc."""
     if fraction == 1.0:
         return b
-    x, y, z = (p + fraction * (q - p) for p, q in zip(a.position, b.position, strict=True))
-    return Pose((x, y, z), slerp(a.orientation, b.orientation, fraction))
+    x, y, z, i, j, k, w = between_numbers(numbers(a), numbers(b), fraction)
+    return Pose((x, y, z), (i, j, k, w))
 
 
-class CommandSpeed:
-    """Velocity of a command that comes in jumps, less often than steps.
-
-    A jump's size over the time since the one before, for as long as that took and half as long again, so that commands
-    which come regularly but for some jitter give a steady velocity; then zero. A jump after LONGEST_GAP of rest counts
-    as having taken that.
-    """
-
-    def __init__(self) -> None:
-        self.value: Floats = np.zeros(6)
-        self._since = self._holds = 0.0
-
-    def step(self, before: Pose, after: Pose, dt: float) -> Floats:
-        """(6,) linear [m/s] and angular [rad/s] velocity, world, at the end of a step of `dt` [s]."""
-        self._since += dt
-        if after != before:
-            took = min(self._since, LONGEST_GAP)
-            self.value = np.array(displacement(before, after)) / took
-            self._holds, self._since = 1.5 * took, 0.0
-        elif self._since > self._holds:
-            self.value = np.zeros(6)
-        return self.value
+@shared
+def between_numbers(a: Numbers, b: Numbers, fraction: float) -> Numbers:
+    """`between` of numbers of poses."""
+    if fraction == 1.0:
+        return b
+    x, y, z, w = slerp(turn(a), turn(b), fraction)
+    return (
+        a[0] + fraction * (b[0] - a[0]), a[1] + fraction * (b[1] - a[1]), a[2] + fraction * (b[2] - a[2]), x, y, z, w,
+    )  # fmt: skip
 
 
 def displacement(start: Pose, end: Pose) -> tuple[float, float, float, float, float, float]:
     """From pose to pose: way [m] and rotation vector [rad], world axes; the shorter turn."""
-    a, b, c = start.position
-    x, y, z = end.position
-    return (x - a, y - b, z - c, *rotation_vector(start.orientation, end.orientation))
+    return way_and_turn(numbers(start), numbers(end))
+
+
+@shared
+def way_and_turn(start: Numbers, end: Numbers) -> tuple[float, float, float, float, float, float]:
+    """`displacement` of numbers of poses."""
+    x, y, z = rotation_vector(turn(start), turn(end))
+    return end[0] - start[0], end[1] - start[1], end[2] - start[2], x, y, z
 
 
 def spring_wrench(on_bone: Floats, bone: Pose, command: Pose) -> Floats:

@@ -21,14 +21,26 @@ goes a little faster than the hand, and not in one step where the hand went in t
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
+import numpy as np
+from numba import types
+
+from ..arrays import Floats, Ints
+from ..physics.compile import formula, kernel, stage
+from ..physics.records import direct, held, side_by_side
 from ..scene import Pose
-from .cadence import Cadence
-from .path import Path, numbers
-from .prediction import Prediction
+from . import cadence as timing
+from . import path as through
+from . import prediction as ahead
+from .cadence import Cadence, Rhythm, build_cadence, rhythm
+from .path import Numbers, Path, build_path, distance, numbers, on_side, pose_of, read, side_near, write
+from .prediction import Prediction, build_prediction
 
 Following = Literal["hold", "linear", "predict", "auto"]
+HOLD, LINEAR, PREDICT, AUTO = range(4)
+MODES: dict[Following, int] = {"hold": HOLD, "linear": LINEAR, "predict": PREDICT, "auto": AUTO}
+"""The numbers of the modes in compiled code."""
 
 PAUSE = 0.1
 """Time without a command after which what came before is forgotten [s]."""
@@ -50,142 +62,279 @@ EXACT = 1e-6
 """Times nearer to each other than this are one [s]: a log has whole nanoseconds, simulated time none."""
 STALL, CAUGHT_UP = 2.5, 0.5
 """Steps by which time has to jump to be a loop that skipped some, and up to which it is still behind then."""
+HEARD = 4096
+"""Most commands that are heard in one step; of more, the last ones count."""
+_POSE = types.UniTuple(types.float64, 7)
+
+
+class Course(NamedTuple):
+    """What a follower knows, for compiled code. Times are in s; (1,) each, unless said.
+
+    pose     : (7,) where the bone is wanted at the end of the last step
+    before   : (7,) at its start
+    time     : simulated, at the end of the last step
+    offset   : from the commands' clock to simulated time; NaN before the first step
+    late     : of the path behind the commands
+    window   : of the mean
+    stalled  : 1 while the loop is behind after steps that were skipped
+    predicts : 1 while the prediction leads, and not the path
+    heard    : (HEARD, 8) numbers of the commands since the last step, and the times of their receipt (NaN: as a step
+               begins); command k lies in row k % HEARD
+    waiting  : how many these are
+    """
+
+    pose: Floats
+    before: Floats
+    time: Floats
+    offset: Floats
+    late: Floats
+    window: Floats
+    stalled: Floats
+    predicts: Floats
+    heard: Floats
+    waiting: Ints
+    path: Path
+    cadence: Cadence
+    prediction: Prediction
+
+
+def build_course() -> Course:
+    """One to be put at rest."""
+    fields: dict[str, Any] = {
+        **side_by_side(Course, pose=7, before=7, heard=0, waiting=0, path=0, cadence=0, prediction=0)
+    }
+    fields |= {"heard": np.zeros((HEARD, 8)), "waiting": np.zeros(1, np.int64)}
+    return Course(**fields | {"path": build_path(), "cadence": build_cadence(), "prediction": build_prediction()})
 
 
 class Follower:
     """Follows commands; see the top of this file. Times are in s, of the clock that commands are received by.
 
-    pose    : where the bone is wanted at the end of the last step
-    cadence : of the commands since the last pause; None before the first
+    course, held : what it knows, as arrays and as kernels take it
+    last         : the command heard last, or where it rests
     """
 
     def __init__(self, pose: Pose) -> None:
+        self.course = build_course()
+        self.held = held(self.course)
+        self._rest = direct(rest, self.held, _POSE, _POSE)
+        self._hear = direct(hear, self.held, _POSE, types.float64)
+        self._advance = direct(advance, self.held, types.int64, types.float64, types.float64)
+        self.last = pose
+        self._pose: Pose | None = pose
         self.rest(pose)
+
+    @property
+    def pose(self) -> Pose:
+        """Where the bone is wanted at the end of the last step."""
+        if self._pose is None:
+            self._pose = pose_of(self.course.pose)
+        return self._pose
+
+    @property
+    def cadence(self) -> Rhythm | None:
+        """Of the commands since the last pause; None before the first."""
+        return rhythm(self.course.cadence)
 
     def rest(self, pose: Pose, goal: Pose | None = None) -> None:
         """At rest at `pose`, and on to `goal` in RESUME, if that is given; what was heard is forgotten."""
-        self.pose = pose
-        self.cadence: Cadence | None = None
-        self._heard: list[tuple[Pose, float | None]] = []
-        self._time = 0.0  # simulated, at the end of the last step
-        self._offset = math.nan  # from the commands' clock to simulated time
-        self._stalled = self._predicts = False
-        self._before = pose
-        self._late = self._window = 0.0
-        self._path, self._prediction = Path(0.0, pose), Prediction(pose)
-        if goal is not None and goal != pose:
-            self._late = RESUME
-            self._path.append(RESUME, goal)
-            self._prediction.begin(0.0, self._path.last_numbers, RESUME)
+        self.last = pose if goal is None else goal
+        self._pose = pose
+        self._rest(self.held, numbers(pose), numbers(self.last))
 
     def hear(self, pose: Pose, received: float | None = None) -> None:
         """A command that came at a time, by which the next step begins; None: just as that begins."""
-        self._heard.append((pose, received))
+        self.last = pose
+        self._hear(self.held, numbers(pose), math.nan if received is None else received)
 
     def advance(self, following: Following, now: float | None, dt: float) -> Pose:
         """One step of `dt` that begins at a time; None: dt after the last one began. Where the bone is wanted then."""
-        begin, path = self._time, self._path
-        stalls = self._keep_time(now, begin, dt)
-        now = begin - self._offset if now is None else now
-        self._time = end = begin + dt
-        if (following == "predict") != self._predicts:
-            self._turn_to(following, dt)
-            path = self._path
-        if self.cadence is not None and self._paused(self.cadence, now, dt):
-            del self._heard[:-1]  # after a pause, and after as long a stall, only the last one counts
-        for pose, received in self._heard:
-            self._take(pose, now if received is None else received, now, dt, following, stalls)
-        self._heard.clear()
-        path.forget(end - 2.0 * LONGEST_WINDOW)
-        before = self.pose
-        if following == "predict":
-            self.pose = self._prediction.advance(path.last, end - self._offset, dt)
-        elif self.pose is not path.last or path.end + self._window > begin:
-            self._widen(begin, dt, following)
-            at_once = self._window == 0.0 and path.end <= end
-            self.pose = path.last if at_once else path.mean(end - self._window, end)
-        self._before = before
+        there = self._advance(self.held, MODES[following], math.nan if now is None else now, dt)
+        self.arrived(there)
         return self.pose
+
+    def arrived(self, there: bool) -> None:
+        """A step was made, at the end of which the bone is wanted right at the last command, or not."""
+        self._pose = self.last if there else None
 
     def delay(self, following: Following) -> float:
         """Of the bone behind the commands [s]; one that is reached by the end of the step that hears it has none."""
-        return self._late + 0.5 * self._window if following in ("linear", "auto") else 0.0
+        course = self.course
+        return float(course.late[0] + 0.5 * course.window[0]) if following in ("linear", "auto") else 0.0
 
     def mode(self, following: Following) -> Following:
         """What is in use: `auto` holds where nothing has to be waited for."""
         return following if following != "auto" else "linear" if self.delay(following) > EXACT else "hold"
 
-    def _keep_time(self, now: float | None, begin: float, dt: float) -> bool:
-        """Lays the commands' clock on simulated time; whether the loop is behind after steps that were skipped."""
-        if now is None:
-            self._offset = 0.0 if math.isnan(self._offset) else self._offset
-            return False
-        offset = begin - now
-        behind = self._offset - offset
-        if abs(behind) <= EXACT or not -PAUSE < behind < CLOCK_SET:  # or it is the first time
-            self._offset, self._stalled = offset, False
-            return False
-        self._offset -= behind * min(1.0, dt / CATCHING_UP)
-        self._stalled = behind > (CAUGHT_UP if self._stalled else STALL) * dt
-        return self._stalled
 
-    @staticmethod
-    def _paused(cadence: Cadence, now: float, dt: float) -> bool:
-        """Whether the last command is too long ago at a time; one as far ahead of it came before a clock was set."""
-        return not -PAUSE < now - cadence.received <= PAUSE + dt
+@kernel
+def rest(course: Course, pose: Numbers, goal: Numbers) -> None:
+    """At rest at a pose, and on to a goal in RESUME, where that is another; what was heard is forgotten."""
+    write(course.pose, pose)
+    write(course.before, pose)
+    course.time[0] = course.late[0] = course.window[0] = course.stalled[0] = course.predicts[0] = 0.0
+    course.offset[0] = math.nan
+    course.waiting[0] = 0
+    course.cadence.commands[0] = -1.0
+    through.set_out(course.path, 0.0, pose)
+    ahead.rest(course.prediction, pose)
+    if goal != pose:
+        course.late[0] = RESUME
+        through.append(course.path, RESUME, goal)
+        ahead.begin(course.prediction, 0.0, through.last_numbers(course.path), RESUME)
 
-    def _turn_to(self, following: Following, dt: float) -> None:
-        """From the path to the prediction, or back: on from where the bone is, and as fast."""
-        self._predicts = following == "predict"
-        if self._predicts:
-            self._prediction.place(self.pose, self._before, dt)
-            return
-        last, self._late = self._path.last, 0.0 if following == "hold" else RESUME
-        self._window = 0.0 if following == "hold" else LONGEST_WINDOW
-        self._path = Path.passing(self._time - dt, self._before, self.pose, dt, LONGEST_WINDOW)
-        meant = self._time if self.cadence is None else min(self.cadence.time + self._offset + dt, self._time)
-        self._path.append(max(meant + self._late, self._time), last)
 
-    def _take(self, pose: Pose, received: float, now: float, dt: float, following: Following, stalls: bool) -> None:
-        """A command becomes the end of the path."""
-        cadence, path, end = self.cadence, self._path, self._time
-        begin = end - dt
-        at = numbers(pose, path.last_numbers)
-        if cadence is None or self._paused(cadence, now, dt):
-            received = min(received, now)
-            takes = self._late
-            if cadence is not None:
-                way = math.dist(at, path.last_numbers)
-                takes = min(RESUME, way / RESUME_SPEED) if way > RESUME_SPEED * dt and following != "hold" else 0.0
-                self._late = takes + min(now - received, PAUSE) if takes > 0.0 else 0.0
-            self.cadence = Cadence(received, at)
-            self._prediction.begin(received, at, RESUME)
-            path.stand(begin)
-            path.append(end + takes, pose)
-            return
-        before = cadence.time
-        meant = cadence.hear(received, begin - self._offset, at)  # a stalled loop does not use up the path
-        self._prediction.hear(meant, at, cadence)
-        if path.end < begin - EXACT:
-            self._late = max(0.0, begin - dt - (before + self._offset))
-            path.stand(begin)
-        if following == "hold":
-            self._late = 0.0
-            path.append(received + self._offset + dt if stalls else end, pose)
+@kernel
+def hear(course: Course, pose: Numbers, received: float) -> None:
+    """A command for the next step, and the time of its receipt [s]; NaN: just as that step begins."""
+    row = course.heard[course.waiting[0] % HEARD]
+    write(row, pose)
+    row[7] = received
+    course.waiting[0] += 1
+
+
+@kernel
+def advance(course: Course, following: int, now: float, dt: float) -> bool:
+    """One step of `dt` that begins at a time [s]; NaN: dt after the last one began.
+
+    Where the bone is wanted then is in course.pose; whether that is right at the command heard last.
+    """
+    begin, path = course.time[0], course.path
+    stalls = _keep_time(course, now, begin, dt)
+    if math.isnan(now):
+        now = begin - course.offset[0]
+    end = begin + dt
+    course.time[0] = end
+    if (following == PREDICT) != (course.predicts[0] != 0.0):
+        _turn_to(course, following, dt)
+    _take_all(course, now, dt, following, stalls)
+    through.forget(path, end - 2.0 * LONGEST_WINDOW)
+    before, last = read(course.pose), through.last_pose(path)
+    if following == PREDICT:
+        ahead.advance(course.prediction, last, end - course.offset[0], dt)
+        write(course.pose, read(course.prediction.pose))
+    elif before != last or through.end_of(path) + course.window[0] > begin:
+        _widen(course, begin, dt, following)
+        if course.window[0] == 0.0 and through.end_of(path) <= end:
+            write(course.pose, last)
         else:
-            wanted, most = max(0.0, cadence.longest_wait - dt), SLEW * (meant - before)
-            if wanted != self._late:
-                self._late += min(max(wanted - self._late, -most), most)
-                self._late = self._late if self._late > EXACT else 0.0
-            time = meant + self._offset + self._late + dt
-            path.append(end if abs(time - end) < EXACT else max(time, path.end + 1e-9), pose)
+            through.mean(path, end - course.window[0], end, course.pose)
+    write(course.before, before)
+    return bool(read(course.pose) == last)
 
-    def _widen(self, begin: float, dt: float, following: Following) -> None:
-        """The window as long as commands have to be waited for, and come unevenly: at once where the path stands."""
-        cadence, wanted = self.cadence, 0.0
-        if cadence is not None and following != "hold":
-            wait = max(0.0, cadence.longest_wait - dt) if cadence.interval > 0.0 else self._late
-            wanted = min(wait + cadence.spread, LONGEST_WINDOW) if wait > EXACT else 0.0
-        if wanted != self._window:
-            most = math.inf if self._path.standing(begin - max(wanted, self._window), begin) else WINDOW_SLEW * dt
-            self._window += min(max(wanted - self._window, -most), most)
+
+@stage
+def _keep_time(course: Course, now: float, begin: float, dt: float) -> bool:
+    """Lays the commands' clock on simulated time; whether the loop is behind after steps that were skipped."""
+    if math.isnan(now):
+        if math.isnan(course.offset[0]):
+            course.offset[0] = 0.0
+        return False
+    offset = begin - now
+    behind = course.offset[0] - offset
+    if abs(behind) <= EXACT or not -PAUSE < behind < CLOCK_SET:  # or it is the first time
+        course.offset[0], course.stalled[0] = offset, 0.0
+        return False
+    course.offset[0] -= behind * min(1.0, dt / CATCHING_UP)
+    stalled: bool = behind > (CAUGHT_UP if course.stalled[0] != 0.0 else STALL) * dt
+    course.stalled[0] = 1.0 if stalled else 0.0
+    return stalled
+
+
+@formula
+def _paused(cadence: Cadence, now: float, dt: float) -> bool:
+    """Whether the last command is too long ago at a time; one as far ahead of it came before a clock was set."""
+    return not -PAUSE < now - cadence.received[0] <= PAUSE + dt
+
+
+@stage
+def _turn_to(course: Course, following: int, dt: float) -> None:
+    """From the path to the prediction, or back: on from where the bone is, and as fast."""
+    path, pose, before, time = course.path, read(course.pose), read(course.before), course.time[0]
+    course.predicts[0] = 1.0 if following == PREDICT else 0.0
+    if following == PREDICT:
+        ahead.place(course.prediction, pose, before, dt)
+        return
+    last = through.last_pose(path)
+    course.late[0] = 0.0 if following == HOLD else RESUME
+    course.window[0] = 0.0 if following == HOLD else LONGEST_WINDOW
+    through.pass_by(path, time - dt, before, pose, dt, LONGEST_WINDOW)
+    meant = time
+    if course.cadence.commands[0] >= 0.0:
+        meant = min(course.cadence.time[0] + course.offset[0] + dt, time)
+    through.append(path, max(meant + course.late[0], time), last)
+
+
+@stage
+def _take_all(course: Course, now: float, dt: float, following: int, stalls: bool) -> None:
+    """The commands heard since the last step; after a pause, and after as long a stall, only the last one counts."""
+    count = course.waiting[0]
+    first = max(0, count - HEARD)
+    if course.cadence.commands[0] >= 0.0 and _paused(course.cadence, now, dt):
+        first = max(0, count - 1)
+    for k in range(first, count):
+        row = course.heard[k % HEARD]
+        received = now if math.isnan(row[7]) else row[7]
+        _take(course, read(row), received, now, dt, following, stalls)
+    course.waiting[0] = 0
+
+
+@stage
+def _take(course: Course, pose: Numbers, received: float, now: float, dt: float, following: int, stalls: bool) -> None:
+    """A command becomes the end of the path."""
+    cadence, path, end = course.cadence, course.path, course.time[0]
+    begin, last = end - dt, through.last_numbers(path)
+    at = on_side(pose, side_near(pose, last))
+    if cadence.commands[0] < 0.0 or _paused(cadence, now, dt):
+        _begin(course, pose, at, min(received, now), now, dt, following)
+        return
+    before = cadence.time[0]
+    meant = timing.hear(cadence, received, begin - course.offset[0], at)  # a stalled loop does not use up the path
+    ahead.hear(course.prediction, meant, at, cadence.interval[0], cadence.waits.largest[0])
+    if through.end_of(path) < begin - EXACT:
+        course.late[0] = max(0.0, begin - dt - (before + course.offset[0]))
+        through.stand(path, begin)
+    if following == HOLD:
+        course.late[0] = 0.0
+        through.append(path, received + course.offset[0] + dt if stalls else end, pose)
+        return
+    wanted, most, late = max(0.0, cadence.waits.largest[0] - dt), SLEW * (meant - before), course.late[0]
+    if wanted != late:
+        late += min(max(wanted - late, -most), most)
+        late = late if late > EXACT else 0.0
+        course.late[0] = late
+    time = meant + course.offset[0] + late + dt
+    through.append(path, end if abs(time - end) < EXACT else max(time, through.end_of(path) + 1e-9), pose)
+
+
+@stage
+def _begin(course: Course, pose: Numbers, at: Numbers, received: float, now: float, dt: float, following: int) -> None:
+    """The first command, or the first after a pause."""
+    cadence, path, end = course.cadence, course.path, course.time[0]
+    takes = course.late[0]
+    if cadence.commands[0] >= 0.0:
+        way = distance(at, through.last_numbers(path))
+        takes = min(RESUME, way / RESUME_SPEED) if way > RESUME_SPEED * dt and following != HOLD else 0.0
+        course.late[0] = takes + min(now - received, PAUSE) if takes > 0.0 else 0.0
+    timing.begin(cadence, received, at)
+    ahead.begin(course.prediction, received, at, RESUME)
+    through.stand(path, end - dt)
+    through.append(path, end + takes, pose)
+
+
+@stage
+def _widen(course: Course, begin: float, dt: float, following: int) -> None:
+    """The window as long as commands have to be waited for, and come unevenly: at once where the path stands."""
+    cadence, window, wanted = course.cadence, course.window[0], 0.0
+    if cadence.commands[0] >= 0.0 and following != HOLD:
+        wait = max(0.0, cadence.waits.largest[0] - dt) if cadence.interval[0] > 0.0 else course.late[0]
+        wanted = min(wait + timing.spread(cadence), LONGEST_WINDOW) if wait > EXACT else 0.0
+    if wanted != window:
+        most = WINDOW_SLEW * dt
+        if through.stands(course.path, begin - max(wanted, window), begin):
+            most = math.inf
+        course.window[0] = window + min(max(wanted - window, -most), most)
+
+
+KERNELS = (rest, hear, advance)
+"""What a Follower calls."""

@@ -1,14 +1,18 @@
-"""A path through poses: straight between them, and its mean over a window of time."""
+"""A path through poses: straight between them, and its mean over a window of time.
+
+What it is made of lies in a record of arrays (`Path`), and compiled code works on that.
+"""
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
-from ..physics.rotations import Quaternion, angle, normalised, slerp
+import numpy as np
+
+from ..arrays import Floats, Ints
+from ..physics.compile import formula, shared, stage
+from ..physics.turns import Quaternion, angle, normalised, slerp
 from ..scene import Pose
 
 Numbers = tuple[float, float, float, float, float, float, float]
@@ -19,155 +23,267 @@ FINE_TURN = 0.2
 
 SHORT = 1e-6
 """Time in which no turn is split [s]."""
+KNOTS = 4096
+"""Most that a path holds, a power of two: those of 0.25 s at 10 kHz, with room for turns that are split."""
 _FINE = math.cos(0.5 * FINE_TURN)
 
 
-class _Knot(NamedTuple):
-    time: float
-    at: Numbers
-    pose: Pose
-
-
-class Path:
+class Path(NamedTuple):
     """Poses at times that grow; before the first and after the last it stands.
 
     Quaternions are averaged as numbers, each on the side of the one before: over a window they are near to each other.
+    Knots are numbered; number k lies in row k % KNOTS. A path that is full forgets its last knot when another is
+    appended: it goes straight from the one before to the new one.
+
+    time : (KNOTS,) of each knot [s]
+    at   : (KNOTS, 7) numbers of its pose, the quaternion on the side of the one before
+    side : (KNOTS,) 1; -1 where the quaternion is that of the pose times -1
+    kept : (2,) number of the first knot, and the number that the next will have
     """
 
-    def __init__(self, time: float, pose: Pose) -> None:
-        self._knots = deque([_Knot(time, numbers(pose), pose)])
+    time: Floats
+    at: Floats
+    side: Floats
+    kept: Ints
 
-    @classmethod
-    def passing(cls, time: float, before: Pose, pose: Pose, dt: float, window: float) -> Path:
-        """One whose mean over a window up to a time [s] is at `pose`, as fast as from `before` there in `dt` [s]."""
-        here = numbers(pose)
-        was = numbers(before, here)
-        ahead = [0.5 * window / dt * (b - a) for a, b in zip(was, here, strict=True)]
-        path = cls(time - window, _pose([a - b for a, b in zip(here, ahead, strict=True)]))
-        path.append(time, _pose([a + b for a, b in zip(here, ahead, strict=True)]))
-        return path
 
-    @property
-    def end(self) -> float:
-        """Time of the last pose [s]."""
-        return self._knots[-1].time
+def build_path() -> Path:
+    """One without knots; `set_out` gives it the first."""
+    return Path(np.zeros(KNOTS), np.zeros((KNOTS, 7)), np.ones(KNOTS), np.zeros(2, np.int64))
 
-    @property
-    def last(self) -> Pose:
-        """The last pose."""
-        return self._knots[-1].pose
 
-    @property
-    def last_numbers(self) -> Numbers:
-        """Of the last pose."""
-        return self._knots[-1].at
+def numbers(pose: Pose) -> Numbers:
+    """Position and quaternion of a pose."""
+    return (*pose.position, *pose.orientation)
 
-    def append(self, time: float, pose: Pose) -> None:
-        """On to a pose at a time [s]; poses from then on are replaced."""
-        knots = self._knots
-        while len(knots) > 1 and knots[-1].time >= time:
-            knots.pop()
-        last = knots[-1]
-        if last.time >= time:
-            knots[0] = _Knot(time, numbers(pose, last.at), pose)
-            return
-        if last.pose == pose:
-            if len(knots) > 1 and knots[-2].pose == pose:
-                knots.pop()
-            knots.append(_Knot(time, last.at, last.pose))
-            return
-        at = numbers(pose, last.at)
+
+def pose_of(at: Floats) -> Pose:
+    """The pose of seven numbers."""
+    x, y, z, a, b, c, d = at.tolist()
+    return Pose((x, y, z), (a, b, c, d))
+
+
+@shared
+def turn(at: Numbers) -> Quaternion:
+    """The quaternion among the numbers of a pose."""
+    return at[3], at[4], at[5], at[6]
+
+
+@shared
+def on_side(at: Numbers, side: float) -> Numbers:
+    """The same orientation by q, or by -q."""
+    return at[0], at[1], at[2], side * at[3], side * at[4], side * at[5], side * at[6]
+
+
+@shared
+def side_near(at: Numbers, near: Numbers) -> float:
+    """1; -1 where -q is nearer than q to the quaternion of `near`."""
+    return -1.0 if at[3] * near[3] + at[4] * near[4] + at[5] * near[5] + at[6] * near[6] < 0.0 else 1.0
+
+
+@shared
+def mix(a: Numbers, b: Numbers, share: float) -> Numbers:
+    """On the straight line from a to b, whose quaternions are near to each other; not normalised."""
+    return (
+        a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]),
+        a[3] + share * (b[3] - a[3]), a[4] + share * (b[4] - a[4]), a[5] + share * (b[5] - a[5]),
+        a[6] + share * (b[6] - a[6]),
+    )  # fmt: skip
+
+
+@shared
+def distance(a: Numbers, b: Numbers) -> float:
+    """Between the seven numbers of two poses."""
+    return math.hypot(
+        a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3], a[4] - b[4], a[5] - b[5], a[6] - b[6]
+    )  # fmt: skip
+
+
+@shared
+def with_unit_turn(at: Numbers) -> Numbers:
+    """With a unit quaternion."""
+    x, y, z, w = normalised(turn(at))
+    return at[0], at[1], at[2], x, y, z, w
+
+
+@formula
+def read(row: Floats) -> Numbers:
+    """The seven numbers in a row."""
+    return row[0], row[1], row[2], row[3], row[4], row[5], row[6]
+
+
+@formula
+def write(row: Floats, at: Numbers) -> None:
+    """Seven numbers into a row."""
+    row[0], row[1], row[2], row[3], row[4], row[5], row[6] = at
+
+
+@formula
+def clear(row: Floats) -> None:
+    """Seven zeros into a row."""
+    for i in range(7):
+        row[i] = 0.0
+
+
+@stage
+def set_out(path: Path, time: float, pose: Numbers) -> None:
+    """Nothing but one pose, at a time [s]."""
+    path.kept[0] = 0
+    path.kept[1] = 0
+    _put(path, time, pose, 1.0)
+
+
+@stage
+def pass_by(path: Path, time: float, before: Numbers, pose: Numbers, dt: float, window: float) -> None:
+    """One whose mean over a window up to a time [s] is at `pose`, as fast as from `before` there in `dt` [s]."""
+    was = on_side(before, side_near(before, pose))
+    ahead = 0.5 * window / dt
+    set_out(path, time - window, with_unit_turn(mix(pose, was, ahead)))
+    append(path, time, with_unit_turn(mix(pose, was, -ahead)))
+
+
+@formula
+def end_of(path: Path) -> float:
+    """Time of the last knot [s]."""
+    time: float = path.time[(path.kept[1] - 1) % KNOTS]
+    return time
+
+
+@stage
+def last_numbers(path: Path) -> Numbers:
+    """Of the last pose, on the side of the one before."""
+    return _at(path, path.kept[1] - 1)
+
+
+@stage
+def last_pose(path: Path) -> Numbers:
+    """The last pose, as it was appended."""
+    return _pose(path, path.kept[1] - 1)
+
+
+@stage
+def append(path: Path, time: float, pose: Numbers) -> None:
+    """On to a pose at a time [s]; knots from then on are replaced."""
+    first, last = path.kept[0], path.kept[1] - 1
+    while last > first and (path.time[last % KNOTS] >= time or last - first == KNOTS - 1):
+        last -= 1
+    before, near = path.time[last % KNOTS], _at(path, last)
+    side = side_near(pose, near)
+    at = on_side(pose, side)
+    path.kept[1] = last + 1
+    if before >= time:
+        path.kept[1] = last
+        _put(path, time, at, side)
+    elif _pose(path, last) == pose:
+        if last > first and _pose(path, last - 1) == pose:
+            path.kept[1] = last
+        _put(path, time, near, path.side[last % KNOTS])
+    else:
         parts = 1
-        _, _, _, a, b, c, d = at
-        _, _, _, e, f, g, h = last.at
-        if a * e + b * f + c * g + d * h < _FINE and time - last.time > SHORT:
-            parts = math.ceil(angle(last.pose.orientation, pose.orientation) / FINE_TURN)
+        if near[3] * at[3] + near[4] * at[4] + near[5] * at[5] + near[6] * at[6] < _FINE and time - before > SHORT:
+            parts = min(math.ceil(angle(turn(near), turn(at)) / FINE_TURN), KNOTS - 1 - (last - first))
         for i in range(1, parts):
             share = i / parts
-            x, y, z, *_ = _mix(last.at, at, share)
-            there = (x, y, z, *slerp(_turn(last.at), _turn(at), share))
-            knots.append(_Knot(last.time + share * (time - last.time), there, _pose(there)))
-        knots.append(_Knot(time, at, pose))
-
-    def stand(self, time: float) -> None:
-        """At its last pose until a later time [s]."""
-        if time > self.end:
-            self.append(time, self.last)
-
-    def forget(self, time: float) -> None:
-        """What was before a time [s] is no longer asked for."""
-        knots = self._knots
-        while len(knots) > 1 and knots[1].time <= time:
-            knots.popleft()
-
-    def standing(self, begin: float, end: float) -> Pose | None:
-        """The pose at which it stands all the time from `begin` to `end` [s]; None where it moves in it."""
-        pose = None
-        for knot in reversed(self._around(begin, end)):
-            if pose is not None and knot.pose != pose:
-                return None
-            pose = knot.pose
-        return pose
-
-    def mean(self, begin: float, end: float) -> Pose:
-        """Its mean from `begin` to `end` [s]; where it is, if they are the same."""
-        standing = self.standing(begin, end)
-        if standing is not None:
-            return standing
-        knots = self._around(begin, end)
-        if begin == end:
-            return _pose(_at(knots[0], knots[-1], end))
-        weights = [0.0] * len(knots)  # a straight piece counts by its ends, as far as it lies in the window
-        for i, (knot, after) in enumerate(pairwise(knots)):
-            low, high = max(begin, knot.time), min(end, after.time)
-            share = (high - low) / (end - begin)
-            later = 0.5 * share * (low + high - 2.0 * knot.time) / (after.time - knot.time)
-            weights[i] += share - later
-            weights[i + 1] += later
-        x = y = z = p = q = r = s = 0.0
-        for weight, (_, (a, b, c, d, e, f, g), _) in zip(weights, knots, strict=True):
-            x, y, z = x + weight * a, y + weight * b, z + weight * c
-            p, q, r, s = p + weight * d, q + weight * e, r + weight * f, s + weight * g
-        return Pose((x, y, z), normalised((p, q, r, s)))
-
-    def _around(self, begin: float, end: float) -> list[_Knot]:
-        """The knots from the last up to `begin` to the first from `end` on; before and after all, it stands."""
-        knots = self._knots
-        found: list[_Knot] = [] if end <= knots[-1].time else [knots[-1]._replace(time=end)]
-        for knot in reversed(knots):
-            found = [knot] if knot.time >= end else [*found, knot]
-            if knot.time <= begin:
-                break
-        else:
-            if knots[0].time > begin:
-                found.append(knots[0]._replace(time=begin))
-        found.reverse()
-        return found
+            x, y, z, _, _, _, _ = mix(near, at, share)
+            a, b, c, d = slerp(turn(near), turn(at), share)
+            _put(path, before + share * (time - before), (x, y, z, a, b, c, d), 1.0)
+        _put(path, time, at, side)
 
 
-def numbers(pose: Pose, near: Numbers | None = None) -> Numbers:
-    """Position and quaternion of a pose; of q and −q, which are one orientation, the one nearer to that of `near`."""
-    x, y, z, w = pose.orientation
-    if near is not None and x * near[3] + y * near[4] + z * near[5] + w * near[6] < 0.0:
-        return (*pose.position, -x, -y, -z, -w)
-    return (*pose.position, x, y, z, w)
+@stage
+def stand(path: Path, time: float) -> None:
+    """At its last pose until a later time [s]."""
+    if time > end_of(path):
+        append(path, time, last_pose(path))
 
 
-def _at(a: _Knot, b: _Knot, time: float) -> Sequence[float]:
-    """The straight line between two knots."""
-    share = (time - a.time) / (b.time - a.time)
-    return a.at if share <= 0.0 else b.at if share >= 1.0 else _mix(a.at, b.at, share)
+@stage
+def forget(path: Path, time: float) -> None:
+    """What was before a time [s] is no longer asked for."""
+    first = path.kept[0]
+    while first + 1 < path.kept[1] and path.time[(first + 1) % KNOTS] <= time:
+        first += 1
+    path.kept[0] = first
 
 
-def _mix(a: Numbers, b: Numbers, share: float) -> list[float]:
-    return [x + share * (y - x) for x, y in zip(a, b, strict=True)]
+@stage
+def stands(path: Path, begin: float, end: float) -> bool:
+    """Whether it stands all the time from `begin` to `end` [s]."""
+    low, high = _around(path, begin, end)
+    return _same(path, low, high)
 
 
-def _turn(at: Numbers) -> Quaternion:
-    _, _, _, x, y, z, w = at
-    return x, y, z, w
+@stage
+def mean(path: Path, begin: float, end: float, out: Floats) -> None:
+    """Its mean from `begin` to `end` [s]; where it is, if they are the same. out: (7,) numbers of a pose."""
+    low, high = _around(path, begin, end)
+    first, last = path.kept[0], path.kept[1] - 1
+    if _same(path, low, high):
+        write(out, _pose(path, max(low, first)))
+        return
+    if begin == end:
+        share = (end - path.time[low % KNOTS]) / (path.time[high % KNOTS] - path.time[low % KNOTS])
+        write(out, with_unit_turn(mix(_at(path, low), _at(path, high), share)))
+        return
+    clear(out)
+    later = 0.0
+    for k in range(low, high):  # a straight piece counts by its ends, as far as it lies in the window
+        since, until = path.time[k % KNOTS] if k >= first else begin, path.time[(k + 1) % KNOTS] if k < last else end
+        enters, leaves = max(begin, since), min(end, until)
+        share = (leaves - enters) / (end - begin)
+        before, later = later, 0.5 * share * (enters + leaves - 2.0 * since) / (until - since)
+        _add(out, before + (share - later), path.at[max(k, first) % KNOTS])
+    _add(out, later, path.at[min(high, last) % KNOTS])
+    write(out, with_unit_turn(read(out)))
 
 
-def _pose(at: Sequence[float]) -> Pose:
-    x, y, z, *turn = at
-    return Pose((x, y, z), normalised(turn))
+@stage
+def _around(path: Path, begin: float, end: float) -> tuple[int, int]:
+    """Numbers of the last knot up to `begin`, and of the first from `end` on; one less or more where there is none."""
+    first, k = path.kept[0], path.kept[1] - 1
+    high = k + 1
+    while k >= first:
+        time = path.time[k % KNOTS]
+        if time >= end:
+            high = k
+        if time <= begin:
+            break
+        k -= 1
+    return k, high
+
+
+@stage
+def _same(path: Path, low: int, high: int) -> bool:
+    """Whether the knots from one number to another have one pose; before the first and after the last it stands."""
+    for k in range(max(low, path.kept[0]), min(high, path.kept[1] - 1)):  # noqa: SIM110
+        if _pose(path, k) != _pose(path, k + 1):
+            return False
+    return True
+
+
+@formula
+def _add(out: Floats, weight: float, at: Floats) -> None:
+    for i in range(7):
+        out[i] += weight * at[i]
+
+
+@formula
+def _at(path: Path, k: int) -> Numbers:
+    """Numbers of knot k."""
+    return read(path.at[k % KNOTS])
+
+
+@formula
+def _pose(path: Path, k: int) -> Numbers:
+    """Pose of knot k."""
+    return on_side(read(path.at[k % KNOTS]), path.side[k % KNOTS])
+
+
+@formula
+def _put(path: Path, time: float, at: Numbers, side: float) -> None:
+    """The next knot."""
+    row = path.kept[1] % KNOTS
+    path.time[row] = time
+    path.side[row] = side
+    write(path.at[row], at)
+    path.kept[1] += 1

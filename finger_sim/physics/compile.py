@@ -25,7 +25,9 @@ import llvmlite
 import llvmlite.binding
 import numba
 import numpy as np
+from numba.core import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
+from numba.core.typing.templates import infer_global
 
 from . import lowering  # noqa: F401  (lanes mean nothing to the compiler without it)
 from .folders import UnsafeError, alone, private, read_only, use
@@ -51,6 +53,8 @@ LOCK = "compiling"
 
 _PACKAGE = Path(__file__).parents[1]
 _log = logging.getLogger(__name__)
+_shared: dict[Any, Any] = {}
+"""What kernels call in place of functions that Python calls, too."""
 _turns: list[_Turn] = []
 """Of the blocks of `compiling` that this process is in."""
 _damaged: list[str] = []
@@ -62,7 +66,7 @@ _lost: list[str] = []
 @cache
 def code_digest() -> str:
     """Hash of all that machine code depends on: sources that kernels can take a constant from, compiler, processor."""
-    sources = imported(_PACKAGE, sorted(Path(__file__).parent.glob("*.py")))
+    sources = imported(_PACKAGE, sorted([*Path(__file__).parent.glob("*.py"), *_kernels_elsewhere()]))
     versions = (
         numba.__version__, llvmlite.__version__, np.__version__, importlib.machinery.EXTENSION_SUFFIXES[0],
         llvmlite.binding.get_process_triple(), llvmlite.binding.get_host_cpu_name(),
@@ -70,6 +74,12 @@ def code_digest() -> str:
         *(f"{name}={getattr(numba.config, name, None)}" for name in OPTIONS),
     )  # fmt: skip
     return hashlib.sha256("\n".join([digest(_PACKAGE, sources), *versions]).encode()).hexdigest()
+
+
+def _kernels_elsewhere() -> list[Path]:
+    """Files with kernels beside those of physics."""
+    files = (_PACKAGE / "haptics").glob("*.py")
+    return [file for file in files if "from ..physics.compile import" in file.read_text(encoding="utf-8")]
 
 
 @cache
@@ -194,6 +204,14 @@ def stage(function: Function) -> Function:
 def formula(function: Function) -> Function:
     """A `stage` that is compiled into each of its callers: for a few lines on lanes, which no call should interrupt."""
     return _compiled(function, called_from_python=False, inline=True)
+
+
+def shared(function: Function) -> Function:
+    """A function of plain numbers that Python calls as it is, and kernels call by the same name, compiled."""
+    if not numba.config.DISABLE_JIT:
+        _shared[function] = _compiled(function, called_from_python=False)
+        infer_global(function, types.Dispatcher(_shared[function]))
+    return function
 
 
 def _compiled(function: Function, called_from_python: bool, inline: bool = False) -> Function:

@@ -7,7 +7,8 @@ who refers to each array in every function: here both are done once. What a reco
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
 
 import numba
 import numpy as np
@@ -23,6 +24,8 @@ from numba.core.extending import (
     unbox,
 )
 from numba.core.typing.templates import AttributeTemplate
+
+from ..arrays import Floats
 
 _WORD = ir.IntType(64)
 
@@ -57,6 +60,29 @@ class Pointed:
             words += _words(part)
         self._memory = np.array(words, np.int64)
         self.address = self._memory.ctypes.data
+
+
+def side_by_side(record: type, **sizes: int) -> dict[str, Floats]:
+    """Fields of a record by name: one-dimensional arrays of zeros in one piece of memory, of size 1 unless said."""
+    lengths = {name: sizes.get(name, 1) for name in record.__annotations__}
+    whole, fields, begin = np.zeros(sum(lengths.values())), dict[str, Floats](), 0
+    for name, length in lengths.items():
+        fields[name] = whole[begin : begin + length]
+        begin += length
+    return fields
+
+
+def direct(kernel: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
+    """A kernel as compiled for arguments like these (`Pointed` or numba types), without the search for that version."""
+    if numba.config.DISABLE_JIT:
+        return kernel
+    kinds = tuple(argument.kind if isinstance(argument, Pointed) else argument for argument in arguments)
+    return cast(Callable[..., Any], kernel.compile(kinds))  # type: ignore[attr-defined]
+
+
+def held(record: Any) -> Any:
+    """A record as kernels take it: `Pointed` where they are compiled, else itself."""
+    return record if numba.config.DISABLE_JIT else Pointed(record)
 
 
 def _is_record(part: Any) -> bool:

@@ -1,4 +1,7 @@
-"""Unit quaternions x y z w, as plain numbers: what a step needs of them, without allocation-heavy libraries."""
+"""Unit quaternions x y z w, as plain numbers: what a step needs of them, without allocation-heavy libraries.
+
+Compiled code calls some of these functions too (turns.py).
+"""
 
 from __future__ import annotations
 
@@ -46,8 +49,8 @@ def normalised(q: Sequence[float]) -> Quaternion:
 
 def angle(a: Quaternion, b: Quaternion) -> float:
     """Angle between two orientations [rad], 0 to π; q and −q are the same."""
-    apart = math.dist(a, b)
-    opposite = math.hypot(*(i + j for i, j in zip(a, b, strict=True)))
+    apart = math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3])
+    opposite = math.hypot(a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3])
     return 4.0 * math.atan2(min(apart, opposite), max(apart, opposite))
 
 
@@ -68,7 +71,7 @@ def rotation_vector(a: Quaternion, b: Quaternion) -> tuple[float, float, float]:
 
 def slerp(a: Quaternion, b: Quaternion, fraction: float) -> Quaternion:
     """The orientation `fraction` of the shorter way from a to b (Shoemake 1985)."""
-    dot = sum(i * j for i, j in zip(a, b, strict=True))
+    dot = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
     if dot < 0.0:
         b, dot = (-b[0], -b[1], -b[2], -b[3]), -dot
     half = math.acos(min(1.0, dot))
@@ -76,5 +79,6 @@ def slerp(a: Quaternion, b: Quaternion, fraction: float) -> Quaternion:
         wa, wb = 1.0 - fraction, fraction
     else:
         wa, wb = math.sin((1.0 - fraction) * half) / math.sin(half), math.sin(fraction * half) / math.sin(half)
-    x, y, z, w = (wa * i + wb * j for i, j in zip(a, b, strict=True))
-    return normalised((x, y, z, w))
+    return normalised((
+        wa * a[0] + wb * b[0], wa * a[1] + wb * b[1], wa * a[2] + wb * b[2], wa * a[3] + wb * b[3],
+    ))  # fmt: skip

@@ -10,24 +10,6 @@ from ..physics.rotations import matrix
 from ..scene import Pose
 
 
-class Placed:
-    """Points (n, 3) [m] as read, placed at one pose after the other; while one only slides, none is turned anew."""
-
-    def __init__(self, points: Floats) -> None:
-        self._points = self._turned = points
-        self._placed, self._shift = np.empty_like(points), np.zeros(3)
-        self._turn = Pose().orientation
-
-    def at(self, pose: Pose) -> Floats:
-        """Where they are at a pose, (n, 3) [m], world; until the next call."""
-        if pose.orientation != self._turn:
-            self._turn = pose.orientation
-            self._turned = self._points @ matrix(self._turn).T
-        shift = self._shift
-        shift[0], shift[1], shift[2] = pose.position
-        return np.add(self._turned, shift, out=self._placed)
-
-
 def carried(points: Floats, before: Pose, after: Pose) -> Floats:
     """Points (n, 3) [m], world, that go with a frame from one pose to another."""
     turn = matrix(after.orientation) @ matrix(before.orientation).T

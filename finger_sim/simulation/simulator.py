@@ -14,6 +14,7 @@ from ..arrays import Floats, read_only
 from ..errors import SceneError
 from ..haptics.coupling import device_wrench, outside, set_down, spring_wrench
 from ..haptics.following import Follower
+from ..haptics.leading import KERNELS as DRIVE_KERNELS
 from ..physics import step as stepping
 from ..physics.clock import STAGES
 from ..physics.compile import compiling
@@ -29,7 +30,7 @@ from .drive import Drive, checked_time
 from .ground import Ground, checked_target
 from .guard import Guard, Verdict
 from .result import STATUSES, StepResult, measured
-from .rigid import Placed, best_fit, carried, twist_of
+from .rigid import best_fit, carried, twist_of
 from .touch import Imprint
 
 Tell = Callable[[str], None]
@@ -57,13 +58,11 @@ class Simulator:
         self._model = build_model(scene, self.mesh)
         self._state = build_state(self._model, self.mesh.points, timed)
         self._rest_driven = self.mesh.points[self._model.driven]
-        self._placed = Placed(self._rest_driven)
         self._driven, self._yields = scene.driven is not None, scene.coupling.type == "virtual"
         self._skin = self.mesh.points[self._model.contact_nodes]
         x, y, z = self._rest_driven.mean(axis=0).tolist() if self._driven else (0.0, 0.0, 0.0)
         self._centre: Vec3 = (x, y, z)
         self._given = self._good = self.pose = scene.initial_pose
-        self._drive = Drive(self.pose, self._centre if self._driven else None, self._yields)
         self._ground = Ground(scene.plane) if scene.plane is not None else None
         self._guard = Guard(
             self._model.length, float(np.linalg.norm(self.mesh.points, axis=1).max()),
@@ -74,7 +73,10 @@ class Simulator:
         """How far above its command the last reset put the body, as it would have been in the plane [m]."""
         self._was_set_down = False
         self._steps, self._timed, self._touch = 0, timed, touch
-        with compiling(tell, KERNELS):
+        with compiling(tell, (*KERNELS, *DRIVE_KERNELS)):
+            self._drive = Drive(
+                self.pose, self._rest_driven, self._centre if self._driven else None, self._yields, self._state.target
+            )
             self._ready = ready(self._model, self._state)
             # Every kernel that a run will call is compiled or loaded here.
             self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
@@ -108,7 +110,8 @@ class Simulator:
         shifts = ground is not None and ground.advance(plane, scene.coupling, scene.dt)
         if shifts:
             self._set_down()
-        moves = drive.advance(scene.coupling, ground.surface if ground else None, now, scene.dt) or shifts
+        surface, part = ground.surface if ground else None, 1.0 / scene.substeps
+        moves = drive.advance(scene.coupling, surface, now, scene.dt, part) or shifts
         slept = self._guard.slept
         if not self._guard.advance(moves) and self._asleep is not None:
             return self._asleep.later(self.time)
@@ -148,17 +151,14 @@ class Simulator:
         before, wanted = self.pose, drive.at(part)
         if shifts and self._ground is not None:
             self._ground.write(state, part, moving=True)
-        if self._yields:
-            state.target[:7] = *wanted.position, *wanted.orientation
-            state.target[7:] = drive.velocity
-        else:
+        if not self._yields:
             if self._driven:
                 self.pose = wanted
             origin = state.origin
             origin[0], origin[1], origin[2] = self.pose.position
         if self._timed:
             state.laps[len(STAGES)] = time.perf_counter()  # the same clock as compiled code's
-        advance(self._ready, self._rest_driven if self._yields else self._placed.at(self.pose), h)
+        advance(self._ready, drive.targets, h)
         result: list[float] = state.result.tolist()
         status = int(result[stepping.STATUS])
         if status & _REJECTED:

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from small_fingers import small
 
 from finger_sim import Pose, SceneError, Simulator
-from finger_sim.haptics.cadence import Cadence
-from finger_sim.haptics.following import LONGEST_WINDOW, Follower, Following
-from finger_sim.haptics.path import numbers
+from finger_sim.haptics.following import HEARD, LONGEST_WINDOW, Follower, Following
+from finger_sim.haptics.path import KNOTS
 
 MS = 0.001
 FLAT = Rotation.from_euler("x", 90, degrees=True)
@@ -185,11 +184,13 @@ def test_the_time_of_a_command_is_what_makes_the_hand_smooth() -> None:
     """Even where only the way here was uneven, that of receipt where the hand was sampled unevenly."""
     for late in (False, True):
         commands = stream(66.0, 0.5, 4.0, late=late)
-        cadence = Cadence(0.0, numbers(commands[0][1]))
-        meant = [cadence.hear(r, r, numbers(c)) for r, c in commands[1:]]
-        received = np.array([r for r, _ in commands[1:]])
-        off_even = np.ptp((np.array(meant) - np.arange(1, len(commands)) / 66.0)[100:])
-        off_receipt = np.abs(np.array(meant) - received)[100:].max()
+        cadences = [f.cadence for f in followed(commands, "linear", 3.99)]
+        times = {c.received: c.time for c in cadences if c is not None}
+        received, meant = np.array([*times.items()]).T
+        off_even = np.ptp((meant - np.arange(len(times)) / 66.0)[100:])
+        off_receipt = np.abs(meant - received)[100:].max()
+        cadence = cadences[-1]
+        assert cadence is not None
         assert (off_even < 0.004) == late
         assert (off_receipt < 0.001) != late
         assert cadence.interval == pytest.approx(1 / 66.0, rel=0.03)
@@ -350,8 +351,38 @@ def test_whatever_comes_the_bone_stays_between_the_commands_and_comes_to_rest() 
                 assert (out.position >= box.min(axis=0) - 1e-12).all()
                 assert (out.position <= box.max(axis=0) + 1e-12).all()
             assert 0.0 <= follower.delay(following) < 1.0  # type: ignore[arg-type]
-            assert len(follower._path._knots) < 3000
+            first, after = follower.course.path.kept
+            assert after - first < 3000
         for _ in range(round(3.0 / dt) if following == "predict" else round(1.5 / dt)):
             now += dt
             out = follower.advance(following, now, dt)  # type: ignore[arg-type]
         assert out is heard[-1], (seed, following)
+
+
+def test_more_commands_than_are_kept_are_followed_all_the_same() -> None:
+    """Ten times as many knots in a second as a path holds, and a step that hears more commands than are kept.
+
+    Finite, between the commands, without a jump, and at the very last in the end.
+    """
+    follower, last = Follower(pose()), pose()
+    follower.advance("linear", 0.0, MS)
+    path = []
+    for k in range(400):
+        for i in range(40):
+            along = (k + i / 40) * MS
+            last = pose((0.1 * along, 0.0, 0.0), Rotation.from_rotvec([0.0, 0.0, 3.0 * (i % 2)]))
+            follower.hear(last, along if k % 100 else along - 0.05)
+        path.append(follower.advance("linear", k * MS, MS))
+        first, after = follower.course.path.kept
+        assert after - first <= KNOTS
+    x = np.array([p.position[0] for p in path])
+    assert (x >= 0.0).all()
+    assert (x <= last.position[0]).all()
+    assert np.diff(x).max() < 5e-3
+    assert np.isfinite([p.orientation for p in path]).all()
+    for k in range(HEARD + 1000):
+        last = pose((0.04 + 1e-6 * k, 0.0, 0.0))
+        follower.hear(last, 0.4)
+    for k in range(400, 1000):
+        out = follower.advance("linear", k * MS, MS)
+    assert out is last

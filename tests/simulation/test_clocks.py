@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from small_fingers import small
 
 from finger_sim import Pose, Simulator
-from finger_sim.haptics.coupling import CommandSpeed
+from finger_sim.scene import Coupling
+from finger_sim.simulation.drive import Drive
 
 FLAT = Rotation.from_euler("x", 90, degrees=True)
 MS = 0.001
@@ -67,10 +68,13 @@ def test_a_command_after_a_long_rest_is_as_fast_asleep_as_awake() -> None:
 
 def test_the_speed_of_one_jump_ends() -> None:
     """After a long rest a jump counts as having taken a tenth of a second, and half as long again."""
-    speed, before, after = CommandSpeed(), pose(), pose((1e-3, 0, 0))
-    for _ in range(1000):
-        speed.step(before, before, MS)
-    moving = [speed.step(before, after, MS)[0]] + [speed.step(after, after, MS)[0] for _ in range(200)]
+    drive, moving = Drive(pose(), np.zeros((0, 3)), (0.0, 0.0, 0.0), True, np.zeros(13)), []
+    for k in range(1201):
+        if k == 1000:
+            drive.hear(pose((1e-3, 0, 0)), None)
+        drive.advance(Coupling(following="hold"), None, None, MS)
+        moving.append(drive.velocity[0])
+    moving = moving[1000:]
     assert_allclose(moving[:150], 0.01, rtol=1e-9)
     assert moving[152:] == [0.0] * 49
 
