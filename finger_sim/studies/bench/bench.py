@@ -182,8 +182,8 @@ def _finger(size: int, options: Options, found: Makers, records: Records) -> dic
     motion = _motion(size, options)
     keys = [Key(size, limits, solver) for limits, solver in CONTENDERS[size]]
     with gauge(f"{size} tetrahedra: converged runs to compare with"):
-        bodies = {_body(key): finger_scene(size, *_body(key)) for key in keys}
-        reference = {body: _reference(scene, motion) for body, scene in bodies.items()}
+        solved = {_body(key) for key in [*keys, *(Key(size, "no limits", name) for name in found)]}
+        reference = {body: _reference(finger_scene(size, *body), motion) for body in sorted(solved)}
     with gauge(f"{size} tetrahedra: {options.repeats} repetitions of {len(motion.poses)} steps") as meter:
         runners: dict[Key, Runner] = {key: Ours(finger_scene(size, key.scene, key.contender), motion) for key in keys}
         bare, names = finger_scene(size, "no limits"), {}

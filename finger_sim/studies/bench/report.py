@@ -15,7 +15,7 @@ from ...errors import MissingExtraError
 from ...physics.clock import STAGES
 from ...plain import plain, whole_file
 from .bench import Report
-from .figures import UNIT_SIZE, Row
+from .figures import Row
 from .scenes import BASE, CONVERGED, DEPTH, LIMITS, MESHES, PHASES, SPEED, BenchError
 
 if TYPE_CHECKING:
@@ -208,6 +208,6 @@ def _caption(report: Report) -> str:
         f"Finger on its bone, E {material['young'] / 1e6:g} MPa, ν {material['poisson']:g}, dt {1e3 * BASE['dt']:g} ms,"
         f" pressed {1e3 * DEPTH:g} mm into a plane with friction {BASE['plane']['friction']:g} and slid, all at "
         f"{100 * SPEED:g} cm/s; tolerance {BASE['solver']['tolerance']:g}.\n"
-        f"{machine['date'][:10]}, {machine['cpu']}, one processor; {versions}. Grey: peers, at {UNIT_SIZE} tetrahedra, "
+        f"{machine['date'][:10]}, {machine['cpu']}, one processor; {versions}. Grey: peers, "
         "which have no strain limits."
     )
