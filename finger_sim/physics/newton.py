@@ -47,7 +47,7 @@ from .work import CORRECTIONS
 _SLACK = 0.5  # a line search ends where dᵀr is within so much of what it was to either side of 0
 _TRIALS = 12
 _STALLED, _PROGRESS = 20, 0.9  # so many iterations without that much progress end a step
-_HARD, _STALLS = 2, 6  # after so many, it is not patient any more; friction's bounds are held
+_HARD, _STALLS = 1, 12  # after so many, it is not patient any more; friction's bounds are held
 _TURNS = 30  # iterations with the same bounds, at most
 
 
@@ -150,7 +150,11 @@ def newton(
                 break
         most = min(patience, (model.max_iterations - iterations) // 2) if stalled < _HARD else worth
         stale = residual >= before or math.log(tolerance / residual) < most * math.log(residual / before)
-    own.holds[0] = 0
+    if own.holds[0] != 0:
+        residual, missing = evaluate_at(model, state, h, contacts, rows, change, False)
+        if missing < least_missing:
+            least = residual
+            keep(state, packed)
     copy_first(lam, best, packed)
     copy_groups(tensor, tensor.lam, tensor.best)
     if model.has_bone:

@@ -159,10 +159,11 @@ def test_limits_are_kept_at_3_to_5_newtons(depth: float) -> None:
 @for_each("stiffness", [1e-3, 30.0, 1e5, 1e7])
 @pytest.mark.slow
 def test_any_stiffness_at_any_step_comes_to_rest(stiffness: float, dt: float) -> None:
+    """With iterations enough for an impact in one long step: 30, as the shipped scene has, can be too few at 3 ms."""
     sim = Simulator(
         coupled(
             dt=dt, coupling__stiffness=stiffness, coupling__damping=0.0, coupling__rotational_damping=0.0,
-            coupling__rotational_stiffness=stiffness / 1e3 + 1e-3,
+            coupling__rotational_stiffness=stiffness / 1e3 + 1e-3, solver__max_iterations=100,
         )
     )  # fmt: skip
     for command in path(((0, 0, TOUCH - 0.004), 0.2), ((0.01, 0.005, TOUCH - 0.004), 0.3), dt=dt):
