@@ -53,8 +53,8 @@ LOCK = "compiling"
 
 _PACKAGE = Path(__file__).parents[1]
 _log = logging.getLogger(__name__)
-_shared: dict[Any, Any] = {}
-"""What kernels call in place of functions that Python calls, too."""
+_shared: list[Any] = []
+"""What kernels call in place of functions that Python calls, too: kept here, as numba does not."""
 _turns: list[_Turn] = []
 """Of the blocks of `compiling` that this process is in."""
 _damaged: list[str] = []
@@ -209,8 +209,8 @@ def formula(function: Function) -> Function:
 def shared(function: Function) -> Function:
     """A function of plain numbers that Python calls as it is, and kernels call by the same name, compiled."""
     if not numba.config.DISABLE_JIT:
-        _shared[function] = _compiled(function, called_from_python=False)
-        infer_global(function, types.Dispatcher(_shared[function]))
+        _shared.append(_compiled(function, called_from_python=False))
+        infer_global(function, types.Dispatcher(_shared[-1]))
     return function
 
 

@@ -19,7 +19,7 @@ from .model import Pattern
 FEWEST_WORTH, PRODUCTS = 5, 6
 """Iterations that new factors are worth at least: their matrix costs some. Products of blocks that `factor` makes while
 an iteration passes over a block of L."""
-WIDEST = 8  # columns of a panel: two rows and two columns of it are read from the first cache again and again
+WIDEST = 8  # columns of a panel: two rows and a column of it are read from the first cache again and again
 
 
 def analyse(edges: Ints, nodes: int) -> Pattern:

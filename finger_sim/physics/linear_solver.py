@@ -2,8 +2,8 @@
 
 A = L D Lᵀ with L unit lower triangular, in the order and the pattern that `elimination.analyse` finds. Block row and
 column numbers below are positions in that order ("slots"). The columns of a panel are finished one after the other,
-then everything they subtract from the columns of their rows is summed in registers, two rows by two columns of blocks
-at a time: each block is read and written once for a whole panel.
+then everything they subtract from the columns of their rows is summed in registers, two blocks of a column at a time,
+which is what sixteen registers hold: each block is read and written once for a whole panel.
 
 There are three triangular solves because there are three layouts of right-hand sides: one vector of padded nodes
 (`solve`), eight lanes (`solve8`), and many that skip what is zero (`solve_many`). Each sums in the order that suits it.

@@ -47,7 +47,7 @@ from .work import CORRECTIONS
 _SLACK = 0.5  # a line search ends where dᵀr is within so much of what it was to either side of 0
 _TRIALS = 12
 _STALLED, _PROGRESS = 20, 0.9  # so many iterations without that much progress end a step
-_HARD, _STALLS = 1, 12  # after so many, it is not patient any more; friction's bounds are held
+_STALLS = 12  # after so many, friction's bounds are held
 _TURNS = 30  # iterations with the same bounds, at most
 
 
@@ -76,6 +76,7 @@ def newton(
         solve_all(model, state, direction)
         add_to_velocities(model, state, direction)
         return 0, 0.0, definite
+    own.holds[0] = 0
     clear(change)
     copy(own.next_residual, own.start_residual)
     residual, missing = evaluate(model, state, h, contacts, rows, change)
@@ -90,7 +91,7 @@ def newton(
         if residual <= tolerance or turns >= _TURNS:
             if own.holds[0] == 0:
                 break
-            residual, missing = evaluate_at(model, state, h, contacts, rows, change, False)
+            residual, missing = evaluate_anew(model, state, h, contacts, rows, False)
             if missing < least_missing:
                 stalled = 0 if missing < _PROGRESS * least_missing else stalled + 1
                 least, least_missing = residual, missing
@@ -99,8 +100,7 @@ def newton(
                 stalled += 1
             if residual <= tolerance or stalled >= _STALLED:
                 break
-            hold_friction(model, state, contacts, lam)
-            residual, missing = evaluate_at(model, state, h, contacts, rows, change, True)
+            residual, missing = hold_friction(model, state, h, contacts, rows, lam)
             turns, stale = 0, True
         if model.deadline > 0.0 and iterations > 0 and seconds(state.time) - began > model.deadline:
             break
@@ -111,7 +111,6 @@ def newton(
             patience = 2 * worth if made == 1 else worth
             lap(state.laps, state.time, FACTOR)
             if not definite:
-                own.holds[0] = 0
                 return iterations, residual, False
         before = residual
         ascent = newton_direction(model, state, h, contacts, stale)
@@ -142,16 +141,15 @@ def newton(
                 keep(state, packed)
             if stalled >= _STALLS and contacts > 0:
                 copy(change, best_change)
-                hold_friction(model, state, contacts, best)
-                residual, missing = evaluate_at(model, state, h, contacts, rows, change, True)
+                residual, missing = hold_friction(model, state, h, contacts, rows, best)
                 turns, stale = 0, True
                 continue
             if stalled >= _STALLED:
                 break
-        most = min(patience, (model.max_iterations - iterations) // 2) if stalled < _HARD else worth
+        most = min(patience, (model.max_iterations - iterations) // 2) if stalled == 0 else worth
         stale = residual >= before or math.log(tolerance / residual) < most * math.log(residual / before)
     if own.holds[0] != 0:
-        residual, missing = evaluate_at(model, state, h, contacts, rows, change, False)
+        residual, missing = evaluate_anew(model, state, h, contacts, rows, False)
         if missing < least_missing:
             least = residual
             keep(state, packed)
@@ -246,20 +244,20 @@ def evaluate(model: Model, state: State, h: float, contacts: int, rows: int, cha
 
 
 @stage
-def evaluate_at(
-    model: Model, state: State, h: float, contacts: int, rows: int, change: Floats, holds: bool
-) -> tuple[float, float]:
-    """`evaluate` with what it adds to; holds: with friction's bounds as `hold_friction` left them."""
-    state.newton.holds[0] = 1 if holds else 0
-    remainder_at(model, state, change)
-    return evaluate(model, state, h, contacts, rows, change)
+def evaluate_anew(model: Model, state: State, h: float, contacts: int, rows: int, holds: bool) -> tuple[float, float]:
+    """`evaluate`, with what it adds to, at the δ that is reached; holds: with friction's bounds as they are held."""
+    own = state.newton
+    own.holds[0] = 1 if holds else 0
+    remainder_at(model, state, own.change)
+    return evaluate(model, state, h, contacts, rows, own.change)
 
 
 @stage
-def hold_friction(model: Model, state: State, contacts: int, lam: Floats) -> None:
-    """Bounds of friction that do not change with the normal forces, from those in lam."""
+def hold_friction(model: Model, state: State, h: float, contacts: int, rows: int, lam: Floats) -> tuple[float, float]:
+    """Hold friction's bounds, those of the normal forces in lam, from now on; what `evaluate` gives with them."""
     for c in range(contacts // 3):
         state.newton.bound[c] = model.mu_friction * lam[3 * c]
+    return evaluate_anew(model, state, h, contacts, rows, True)
 
 
 @stage

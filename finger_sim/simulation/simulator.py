@@ -180,7 +180,7 @@ class Simulator:
             wrench[3:] += np.cross(state.origin - np.array(self.pose.position), wrench[:3])
         felt = spring_wrench(state.coupling, self.pose, self._drive.end) if self._yields else wrench
         return StepResult(
-            self._steps * self.scene.dt, wrench, device_wrench(self.scene.coupling, felt), self.pose, iterations,
+            self.time, wrench, device_wrench(self.scene.coupling, felt), self.pose, iterations,
             residual, STATUSES[status], *measured(result),
             touch=Imprint.of(self).touch() if self._touch else None,
         )  # fmt: skip

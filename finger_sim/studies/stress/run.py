@@ -30,9 +30,8 @@ STEP_LIMIT = 20.0
 """Processor time after which a step counts as one that never returns [s]; the slowest of the cases takes 0.01 s."""
 NEAR = 1e-3
 """Of the body's size: so near to the undisturbed twin is recovered."""
-DRIFT = 1e-2
-"""Of the largest force: what a wrench may differ by from that of the second cycle at the same place, however many
-cycles lie between: ten times the solver's tolerance. `lagged` may share a matrix that was made at another place."""
+DRIFT = 1e-3
+"""Of the largest force: what a wrench may differ by from that of the second cycle at the same place."""
 GLANCES = 97
 """From the fourth cycle on, only every so many steps get more than a glance."""
 LET_GO = 10_000
