@@ -9,11 +9,12 @@ it in compiled code: leading.py.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..arrays import Floats
-from ..physics.compile import shared
+from ..physics.compile import formula, kernel, shared
 from ..physics.turns import angle, rotation_vector, slerp
 from ..scene import Coupling, Pose, Vec3, place
 from .path import Numbers, numbers, turn
@@ -111,21 +112,61 @@ def way_and_turn(start: Numbers, end: Numbers) -> tuple[float, float, float, flo
     return end[0] - start[0], end[1] - start[1], end[2] - start[2], x, y, z
 
 
+def six(vector: Sequence[float] | Floats) -> Floats:
+    """A copy (6,), as kernels take it. Raises ValueError where there are more numbers, or less."""
+    out = np.empty(6)
+    out[:] = vector
+    return out
+
+
 def spring_wrench(on_bone: Floats, bone: Pose, command: Pose) -> Floats:
     """(6,) wrench [N, N m] of a coupling on the device, about the commanded point.
 
     on_bone: its wrench on the bone, about the bone's origin; all in world axes.
     """
-    out = -on_bone
-    out[3:] += np.cross(np.array(bone.position) - np.array(command.position), out[:3])
+    out = six(on_bone)
+    turned_round(out, np.array(bone.position, np.float64), np.array(command.position, np.float64), out)
     return out
+
+
+@kernel
+def turned_round(on_bone: Floats, bone: Floats, command: Floats, out: Floats) -> None:
+    """`spring_wrench` into `out`, which may be `on_bone`; of both poses only the positions are read."""
+    for i in range(6):
+        out[i] = -on_bone[i]
+    x, y, z = bone[0] - command[0], bone[1] - command[1], bone[2] - command[2]
+    out[3] += y * out[2] - z * out[1]
+    out[4] += z * out[0] - x * out[2]
+    out[5] += x * out[1] - y * out[0]
 
 
 def device_wrench(coupling: Coupling, wrench: Floats) -> Floats:
     """A wrench (6,) [N, N m], its force and torque each scaled back to the coupling's limits."""
-    a, b, c, d, e, f = wrench.tolist()
-    force, torque = math.hypot(a, b, c), math.hypot(d, e, f)
-    if force <= coupling.force_limit and torque <= coupling.torque_limit:
-        return wrench.copy()
-    p, q = min(1.0, coupling.force_limit / (force or 1.0)), min(1.0, coupling.torque_limit / (torque or 1.0))
-    return np.array((p * a, p * b, p * c, q * d, q * e, q * f))
+    out = six(wrench)
+    clamped(out, float(coupling.force_limit), float(coupling.torque_limit), out)
+    return out
+
+
+@kernel
+def clamped(wrench: Floats, force_limit: float, torque_limit: float, out: Floats) -> None:
+    """A wrench, its force and torque each scaled back to a limit [N], [N m]; `out` may be `wrench`."""
+    p = part_within(force_limit, wrench[0], wrench[1], wrench[2])
+    q = part_within(torque_limit, wrench[3], wrench[4], wrench[5])
+    for i in range(6):
+        out[i] = (p if i < 3 else q) * wrench[i]
+
+
+@formula
+def part_within(limit: float, x: float, y: float, z: float) -> float:
+    """Of a vector, the largest part up to all of it that is no longer than a limit."""
+    size = math.hypot(math.hypot(x, y), z)  # of two numbers at a time, which neither overflows nor underflows
+    return limit / size if size > limit else 1.0
+
+
+@formula
+def finite(vector: Floats) -> bool:
+    """Whether all six numbers are finite, and their sum."""
+    total = 0.0
+    for i in range(6):
+        total += vector[i]
+    return math.isfinite(total)

@@ -8,7 +8,7 @@ who refers to each array in every function: here both are done once. What a reco
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, cast
+from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numba
 import numpy as np
@@ -28,6 +28,9 @@ from numba.core.typing.templates import AttributeTemplate
 from ..arrays import Floats
 
 _WORD = ir.IntType(64)
+VECTOR = types.float64[::1]
+"""numba's type of a one-dimensional array of numbers."""
+T = TypeVar("T")
 
 
 class RecordType(types.Type):
@@ -83,6 +86,22 @@ def direct(kernel: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
 def held(record: Any) -> Any:
     """A record as kernels take it: `Pointed` where they are compiled, else itself."""
     return record if numba.config.DISABLE_JIT else Pointed(record)
+
+
+class Entry(Generic[T]):
+    """An attribute of objects that have a `record`: the number in the field of that name, of size 1."""
+
+    def __init__(self, kind: Callable[[Any], T]) -> None:
+        self._kind = kind
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, owner: Any, kind: type | None = None) -> T:
+        return self._kind(getattr(owner.record, self._name)[0])
+
+    def __set__(self, owner: Any, value: T) -> None:
+        getattr(owner.record, self._name)[0] = value
 
 
 def _is_record(part: Any) -> bool:

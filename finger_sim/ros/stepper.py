@@ -7,13 +7,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
 from ..arrays import Floats
 from ..haptics.budget import Budget, Rung, usable
-from ..haptics.coupling import displacement
-from ..haptics.passivity import NONE, Port
-from ..haptics.rendering import NO_WRENCH, Rendering
+from ..haptics.rendering import NO_WRENCH
+from ..haptics.sending import BACK, BECAME_STALE, Sender
 from ..physics.step import Status
 from ..scene import Pose, Scene
 from ..simulation.result import StepResult
@@ -74,8 +71,7 @@ class Stepper:
     window : the steps since whoever reports put a new one here
     delay  : times from the receipt of a command to the wrench of its step [s]
     transport : times from the stamp of a command to its receipt [s]
-    rendering : of the wrench for the device; it knows whether the command is too old for one
-    port   : account of the energy that goes to the device
+    rendering, port : of the wrench for the device; see Sender
     """
 
     def __init__(self, scene: Scene, outputs: Outputs, clock: Any, log: Any) -> None:
@@ -85,15 +81,14 @@ class Stepper:
         self.window = Window()
         self.delay = Recent()
         self.transport = Recent()
-        self.rendering = Rendering()
+        self._sender = Sender(scene.dt)
+        self.rendering, self.port = self._sender.rendering, self._sender.port
         self.budget: Budget | None = None
         self.rungs: tuple[Rung, ...] = ()
         self._outputs, self._clock, self._log = outputs, clock, log
         self._followed: Command | None = None
         self._shifted: Pose | None = None
         self._zero = 0  # receipt of the command that placed the finger [ns]: times are counted from it
-        self._delay = 0.0
-        self.port = Port(scene.dt)
 
     def prepare(self, progress: Callable[[str], None]) -> None:
         """Loads mesh and kernels. Raises FingerSimError."""
@@ -125,11 +120,11 @@ class Stepper:
 
     def idle(self) -> None:
         """Between commands that are each answered by a step: when the last is too old, the device gets no force."""
-        command, options = self.newest, self._outputs.options
-        now = time.monotonic_ns()
-        if command is not None and not self.rendering.stale and not self._watch(command, now):
-            device = self._passive(self.rendering.silence(), command, options)
-            self._outputs.device(device, time_of(self._clock), now)
+        command, options, now = self.newest, self._outputs.options, time.monotonic_ns()
+        if command is None or self.rendering.stale:
+            return
+        if 1e-9 * (now - command.received_ns) > options.command_timeout:
+            self._outputs.device(self._send(NO_WRENCH, command, now, options), time_of(self._clock), now)
 
     def _begin(self, now: int, command: Command | None = None) -> bool:
         """The first command ever places the finger, each later one moves it there; whether it was placed before."""
@@ -149,21 +144,12 @@ class Stepper:
     def _step(self, command: Pose | None, newest: Command | None, now: int, stamp: int) -> None:
         """A step, and what it brought. command: of a step that answers it; else what was heard is followed by time."""
         begin, options = time.perf_counter(), self._outputs.options
-        rendering = self.rendering
-        rendering.scale, rendering.ramp = options.force_scale, options.force_ramp
-        rendering.timeout = options.command_timeout
-        if newest is not None:
-            self._watch(newest, now)
         plane = self.plane if self.plane is not self._shifted else None
         self._shifted = self.plane
         out = self.sim.step(command, plane, now=None if command else 1e-9 * (now - self._zero))
         if self.budget is not None and self.budget.spent(time.perf_counter() - begin):
             self.sim.solve_with(self.rungs[self.budget.rung].solver)
-        device = NO_WRENCH
-        if newest is not None:
-            device = self._passive(
-                rendering.render(out.device_wrench, self.scene.coupling, self.scene.dt), newest, options
-            )
+        device = NO_WRENCH if newest is None else self._send(out.device_wrench, newest, now, options)
         self._outputs.step(self.sim, out, device, stamp, options, now)
         if newest is not None and newest is not self._followed:
             self._followed = newest
@@ -171,20 +157,22 @@ class Stepper:
             self.transport.add(newest.transport)
         self.window.add(out)
 
-    def _passive(self, wrench: Floats, command: Command, options: NodeOptions) -> Floats:
-        """The wrench as the port's account lets it pass; with `passivity` observe it passes as it is.
-
-        The way back to the device is taken to be as long as the way here.
-        """
-        port, limits, before = self.port, self.scene.coupling, self._followed
-        fresh = command is not before
-        moved = displacement(before.pose, command.pose) if fresh and before is not None else NONE
-        if fresh:
-            self._delay = 2.0 * command.transport + time.monotonic() - command.received
-        port.controlled = options.passivity == "control"
-        port.force_limit, port.torque_limit = limits.force_limit, limits.torque_limit
-        sent = port.step(wrench.tolist(), moved, self._delay, fresh)
-        return np.array(sent) if port.controlled else wrench
+    def _send(self, wrench: Floats, command: Command, now: int, options: NodeOptions) -> Floats:
+        """What the device is sent of a step that began at a steady time [ns]; tells when commands stop or are back."""
+        rendering = self.rendering
+        rendering.scale, rendering.ramp = options.force_scale, options.force_ramp
+        rendering.timeout = options.command_timeout
+        self.port.controlled = options.passivity == "control"
+        device, told = self._sender.send(
+            wrench, self.scene.coupling, command.pose if command is not self._followed else None, self.scene.dt,
+            transport=command.transport, age=1e-9 * (now - command.received_ns),
+            took=1e-9 * (time.monotonic_ns() - now),
+        )  # fmt: skip
+        if told == BECAME_STALE:
+            self._log.warning(f"no command for {rendering.timeout:g} s: holding the pose, device_wrench is zero")
+        elif told == BACK:
+            self._log.info("commands are back: device_wrench follows the contact again")
+        return device
 
     def reset(self) -> Pose:
         """Back to rest at the last command."""
@@ -203,13 +191,3 @@ class Stepper:
         milliseconds = self.scene.solver.budget_ms
         self.rungs = usable(self.scene, self.sim.mesh) if milliseconds is not None else ()
         self.budget = Budget(1e-3 * milliseconds, len(self.rungs)) if milliseconds is not None else None
-
-    def _watch(self, command: Command, now: int) -> bool:
-        """Whether the command is recent at a steady time [ns]; says so when that changes."""
-        rendering, was = self.rendering, self.rendering.stale
-        recent = rendering.watch(1e-9 * (now - command.received_ns))
-        if rendering.stale and not was:
-            self._log.warning(f"no command for {rendering.timeout:g} s: holding the pose, device_wrench is zero")
-        elif was and recent:
-            self._log.info("commands are back: device_wrench follows the contact again")
-        return recent

@@ -15,6 +15,8 @@ from ..errors import SceneError
 from ..haptics.coupling import device_wrench, outside, set_down, spring_wrench
 from ..haptics.following import Follower
 from ..haptics.leading import KERNELS as DRIVE_KERNELS
+from ..haptics.sending import KERNELS as SENDING_KERNELS
+from ..haptics.sending import load
 from ..physics import step as stepping
 from ..physics.clock import STAGES
 from ..physics.compile import compiling
@@ -73,7 +75,7 @@ class Simulator:
         """How far above its command the last reset put the body, as it would have been in the plane [m]."""
         self._was_set_down = False
         self._steps, self._timed, self._touch = 0, timed, touch
-        with compiling(tell, (*KERNELS, *DRIVE_KERNELS)):
+        with compiling(tell, (*KERNELS, *DRIVE_KERNELS, *SENDING_KERNELS)):
             self._drive = Drive(
                 self.pose, self._rest_driven, self._centre if self._driven else None, self._yields, self._state.target
             )
@@ -82,6 +84,7 @@ class Simulator:
             self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
             advance(self._ready, self._rest_driven.copy(), scene.dt / scene.substeps)
             measure_strains(self._ready)
+            load()
         self.reset(scene.initial_pose)
         tell("ready")
 

@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from small_fingers import small
 
-from finger_sim import Pose, Simulator
+from finger_sim import Pose, SceneError, Simulator
 from finger_sim.haptics.coupling import displacement
 from finger_sim.haptics.passivity import FORGIVING, LET_GO, MOST_PERIODS, Control, Port, stable_stiffness
 
@@ -478,14 +478,15 @@ def test_in_contact_friction_is_forgotten_and_a_press_is_not() -> None:
 
 
 def test_after_reset_a_port_is_as_new() -> None:
-    """The same steps give the same wrenches and the same account."""
+    """All that it knows, and the same steps give the same wrenches."""
     port, new = leaking(), controlled()
     port.reset()
+    for ours, theirs in zip(port.record, new.record, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
     rng = np.random.default_rng(2)
     for k in range(200):
         wrench, moved = rng.uniform(-5, 5, 6).tolist(), rng.uniform(-1e-3, 1e-3, 6).tolist()
         assert port.step(wrench, moved, 4e-3, k % 3 == 0) == new.step(wrench, moved, 4e-3, k % 3 == 0)
-    assert vars(new).keys() == vars(port).keys()
     assert (port.energy, port.leak, port.leaked, port.dissipated) == (new.energy, new.leak, new.leaked, new.dissipated)
 
 
@@ -503,6 +504,37 @@ def test_nothing_moves_nothing_pushes() -> None:
         assert all(map(math.isfinite, sent))
     assert all(math.isfinite(v) for v in (port.energy, port.leak, port.leaked, port.dissipated, port.factor))
     assert port.energy == pytest.approx((MOST_PERIODS - 10) // 7 * 1e-6, rel=0.05)
+
+
+def test_what_is_not_finite_is_left_out() -> None:
+    """A wrench counts as none, a motion as no command, a delay that is none or negative as no delay."""
+    port, plain, rng = controlled(), controlled(), np.random.default_rng(4)
+    for k in range(300):
+        wrench, moved, delay = rng.uniform(-5, 5, 6), rng.uniform(-1e-3, 1e-3, 6), 2e-3 if k % 3 else 0.0
+        given, told, held = wrench.copy(), moved.copy(), (math.nan, -1.0)[k % 2] if delay == 0.0 else delay
+        if k % 7 == 5:
+            given[k % 6], wrench = (math.nan, math.inf)[k % 2], np.zeros(6)
+        if k % 11 == 3:
+            told[k % 6] = (math.nan, math.inf)[k % 2]
+        sent = port.step(given.tolist(), told.tolist(), held)
+        assert sent == plain.step(wrench.tolist(), moved.tolist(), delay, k % 11 != 3)
+        assert all(map(math.isfinite, sent))
+    assert (port.energy, port.leak, port.dissipated) == (plain.energy, plain.leak, plain.dissipated)
+
+
+def test_what_has_no_meaning_is_refused() -> None:
+    """Settings by name, with what is allowed; and vectors of another size."""
+    for name in ("allowance", "mass", "lever"):
+        for bad in (0.0, -1.0, math.nan, math.inf):
+            with pytest.raises(SceneError, match=f"control.{name}: got {bad}, allowed: a finite number above 0"):
+                Control(**{name: bad})
+    with pytest.raises(SceneError, match=r"control.max_damping: got -1.0, allowed: a finite number from 0 on"):
+        Control(max_damping=-1.0)
+    with pytest.raises(SceneError, match=r"period: got 0.0, allowed: a finite number above 0"):
+        Port(0.0)
+    for wrench, motion in (([1.0] * 3, [0.0] * 6), ([1.0] * 6, [0.0] * 7)):
+        with pytest.raises(ValueError, match="could not broadcast"):
+            Port(PERIOD).step(wrench, motion, 0.0)
 
 
 def test_while_the_delay_changes_a_motion_still_meets_a_wrench() -> None:

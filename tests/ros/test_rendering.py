@@ -28,15 +28,34 @@ FORCE = np.array([0.0, 0.0, 4.0, 0.0, 0.1, 0.0])
 
 
 def test_between_commands_the_port_keeps_the_delay_of_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 30 ms here and 30 back, and what passed since its receipt."""
-    (node, options), told = stepper(), []
-    monkeypatch.setattr(node.port, "step", lambda wrench, motion, delay, fresh: told.append((delay, fresh)))
-    monkeypatch.setattr("finger_sim.ros.stepper.time.monotonic", lambda: 5.002)
+    """Of 30 ms here and 30 back, and what passed since its receipt until the wrench is sent."""
+    node, options = stepper()
     command = Command(Pose(), 5_000_000_000, 0.03)
-    node._passive(FORCE, command, options)
-    node._followed = command
-    node._passive(FORCE, command, options)
-    assert told == [(pytest.approx(0.062), True), (pytest.approx(0.062), False)]
+    for begin, sent in ((5_001_000_000, 5_002_000_000), (5_010_000_000, 5_010_500_000)):
+        monkeypatch.setattr("finger_sim.ros.stepper.time.monotonic_ns", lambda sent=sent: sent)
+        node._send(FORCE, command, begin, options)
+        node._followed = command
+        assert node._sender.delay == pytest.approx(0.062)
+
+
+def test_between_answers_a_device_is_let_go_of_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As soon as the last command is too old: one wrench of nothing, and one line that says so; not before."""
+    said: list[str] = []
+    sent: list[Any] = []
+    clock: Any = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=0))
+    outputs: Any = SimpleNamespace(options=NodeOptions(), device=lambda wrench, stamp, at: sent.append((wrench, at)))
+    log: Any = SimpleNamespace(warning=said.append, info=said.append)
+    node = Stepper(small("finger_coupled"), outputs, clock, log)
+    node.newest = node._followed = Command(Pose(), 5_000_000_000)
+    node._send(FORCE, node.newest, 5_000_000_000, outputs.options)
+    for now in (5_050_000_000, 5_100_000_000, 5_101_000_000, 5_200_000_000):
+        monkeypatch.setattr("finger_sim.ros.stepper.time.monotonic_ns", lambda now=now: now)
+        node.idle()
+    assert [(wrench.any(), at) for wrench, at in sent] == [(False, 5_101_000_000)]
+    assert said == ["no command for 0.1 s: holding the pose, device_wrench is zero"]
+    device = node._send(FORCE, Command(Pose(), 5_200_000_000), 5_200_000_000, outputs.options)
+    assert device[2] == pytest.approx(4.0 * 0.001 / 0.2)  # the first of a new ramp
+    assert said[1:] == ["commands are back: device_wrench follows the contact again"]
 
 
 def test_a_target_of_the_plane_is_taken_once() -> None:
