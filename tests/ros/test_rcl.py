@@ -252,6 +252,18 @@ def lengthen(words):
     words[8] = 0
 
 
+def begin_with_something(words):
+    words[1] = 7
+
+
+def have_no_bytes(words):
+    words[0] = 0
+
+
+def leave_the_address(words):
+    words[0] = wire.GUARDED
+
+
 def fail(words):
     return 10
 
@@ -337,7 +349,15 @@ UNFIT = {
     **{f"no function {name}": lacking(name) for names in FUNCTIONS.values() for name in names},
 }
 """What is wrong, by a part of what is said of it."""
-CHANGES = (shift, swap_length_and_capacity, shorten_allocator, lengthen)
+CHANGES = (
+    shift,
+    swap_length_and_capacity,
+    shorten_allocator,
+    lengthen,
+    begin_with_something,
+    have_no_bytes,
+    leave_the_address,
+)
 STRUCTURE = "rcutils_uint8_array_t is another structure"
 
 
@@ -404,6 +424,12 @@ def test_the_version_is_that_of_the_loaded_library():
     assert file.name == "librcl.so"
     assert (file.parents[1] / "share" / "rcl" / "package.xml").is_file()
     assert rcl._file_of(8).name == ""
+
+
+def test_no_library_is_loaded_beside_those_of_rclpy():
+    """Where rclpy has not been imported there is none."""
+    code = "from finger_sim.ros import rcl\ntry: rcl.find()\nexcept rcl.UnfitError as error: print(error)"
+    assert python(code) == "rclpy has not loaded librcl.so\n"
 
 
 def changed_take(change):
