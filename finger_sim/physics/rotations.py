@@ -21,7 +21,7 @@ SHORT_QUATERNION, LONG_QUATERNION = 1e-6, 1e6
 Normalising is exact far beyond them. But who sends a shorter one means none, and a longer one is a broken number.
 """
 UNIT = 4.5e-16
-"""A quaternion is a unit one where its length differs from 1 by less: by one step of a float64 above, two below."""
+"""A quaternion is a unit one where its length differs from 1 by less: two steps of float64 above, four below."""
 
 
 def matrix_entries(q: Any) -> Any:

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 
+import numba
 import numpy as np
 import pytest
 from processes import REPOSITORY
@@ -177,7 +178,7 @@ def test_a_signal_ends_a_sleep(clock):
         signal.signal(signal.SIGUSR1, before)
 
 
-@pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="is what this runs")
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="is what this runs")
 def test_uncompiled_too():
     """NUMBA_DISABLE_JIT=1: the tests of this file and of poses pass with the same functions as plain Python."""
     done = subprocess.run(
