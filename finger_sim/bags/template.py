@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Floats
+from ..arrays import Bytes, Floats
 
 _STAMP = struct.Struct("<iI")
 STAMP_OFFSET = 4
@@ -27,14 +27,19 @@ class Template:
     data   : the message, which holds the `marks`
     marks  : bytes of each block of numbers as the message holds it, each found exactly once
     stamps : where it has stamps, which are all filled with the same time
+
+    bytes  : (n,) the message as it was filled last; whoever writes here fills it too
+    blocks : where each block of numbers begins
     """
 
     def __init__(self, data: bytes, *marks: bytes, stamps: Sequence[int] = (STAMP_OFFSET,)) -> None:
         assert data[:2] == b"\x00\x01", "little-endian CDR"
         assert all(data.count(mark) == 1 for mark in marks), "marks that occur once"
         self._bytes = bytearray(data)
+        self.bytes: Bytes = np.frombuffer(self._bytes, np.uint8)
         self._stamps = tuple(stamps)
         self._places = [slice(at := data.index(mark), at + len(mark)) for mark in marks]
+        self.blocks = tuple(place.start for place in self._places)
 
     def fill(self, stamp: int, *blocks: bytes) -> bytes:
         """The message at `stamp` [ns] with its blocks replaced by others of the same length."""

@@ -78,7 +78,7 @@ def code_digest() -> str:
 
 def _kernels_elsewhere() -> list[Path]:
     """Files with kernels beside those of physics."""
-    files = (_PACKAGE / "haptics").glob("*.py")
+    files = (file for room in ("haptics", "ros") for file in (_PACKAGE / room).glob("*.py"))
     return [file for file in files if "from ..physics.compile import" in file.read_text(encoding="utf-8")]
 
 
@@ -206,6 +206,11 @@ def formula(function: Function) -> Function:
     return _compiled(function, called_from_python=False, inline=True)
 
 
+def exact(function: Function) -> Function:
+    """A `stage` none of whose products and sums are fused: each is rounded by itself, as Python rounds it."""
+    return _compiled(function, called_from_python=False, fused=False)
+
+
 def shared(function: Function) -> Function:
     """A function of plain numbers that Python calls as it is, and kernels call by the same name, compiled."""
     if not numba.config.DISABLE_JIT:
@@ -214,11 +219,11 @@ def shared(function: Function) -> Function:
     return function
 
 
-def _compiled(function: Function, called_from_python: bool, inline: bool = False) -> Function:
+def _compiled(function: Function, called_from_python: bool, inline: bool = False, fused: bool = True) -> Function:
     compiled = numba.njit(
         nogil=True,
         error_model="numpy",
-        fastmath=FASTMATH,
+        fastmath=FASTMATH if fused else False,
         no_cfunc_wrapper=True,
         no_cpython_wrapper=not called_from_python,
         forceinline=inline,

@@ -20,6 +20,8 @@ SHORT_QUATERNION, LONG_QUATERNION = 1e-6, 1e6
 
 Normalising is exact far beyond them. But who sends a shorter one means none, and a longer one is a broken number.
 """
+UNIT = 4.5e-16
+"""A quaternion is a unit one where its length differs from 1 by less: two steps of float64 above, four below."""
 
 
 def matrix_entries(q: Any) -> Any:
@@ -44,7 +46,7 @@ def normalised(q: Sequence[float]) -> Quaternion:
     """The unit quaternion of the same rotation; `q` must not be zero. A unit one stays as it is."""
     x, y, z, w = q
     norm = math.hypot(x, y, z, w)
-    return (x, y, z, w) if abs(norm - 1.0) < 4.5e-16 else (x / norm, y / norm, z / norm, w / norm)
+    return (x, y, z, w) if abs(norm - 1.0) < UNIT else (x / norm, y / norm, z / norm, w / norm)
 
 
 def angle(a: Quaternion, b: Quaternion) -> float:

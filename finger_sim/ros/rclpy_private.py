@@ -10,7 +10,8 @@ from __future__ import annotations
 import importlib
 import importlib.metadata
 from collections.abc import Mapping
-from typing import Any
+from contextlib import ExitStack
+from typing import Any, NamedTuple
 
 from rclpy.guard_condition import GuardCondition
 
@@ -53,12 +54,39 @@ def overrides(node: Any) -> Mapping[str, Any]:
     return {name: parameter.value for name, parameter in found.items()}
 
 
-def take(subscription: Any) -> tuple[bytes, int] | None:
-    """The CDR bytes of the oldest message that lies in a raw subscription, and its wall time of receipt [ns]."""
+class Taken(NamedTuple):
+    """A message that was taken."""
+
+    data: bytes
+    """CDR"""
+    received: int
+    """Wall time of receipt [ns]."""
+    sent: int
+    """Stamp of the sender's middleware [ns]."""
+
+
+def take(subscription: Any) -> Taken | None:
+    """The oldest message that lies in a raw subscription."""
     handle = subscription.handle
     with handle:
         taken = handle.take_message(subscription.msg_type, True)
-    return None if taken is None else (taken[0], taken[1]["received_timestamp"])
+    return None if taken is None else Taken(taken[0], taken[1]["received_timestamp"], taken[1]["source_timestamp"])
+
+
+def held_address(entity: Any, keep: ExitStack) -> int:
+    """Of what rcl has of a publisher or a subscription, which ends after `keep` is closed. Raises FingerSimError."""
+    keep.enter_context(entity.handle)
+    address = getattr(entity.handle, "pointer", None)
+    if not isinstance(address, int) or address == 0:
+        raise _missing(f"{type(entity).__name__}.handle.pointer")
+    return address
+
+
+def failures() -> tuple[type[Exception], ...]:
+    """What publishing and taking raise."""
+    from rclpy.impl.implementation_singleton import rclpy_implementation
+
+    return rclpy_implementation.RCLError, rclpy_implementation.InvalidHandle
 
 
 class Waiter:

@@ -44,7 +44,7 @@ class Rosout:
         if recorder is None or not recorder.active:
             return
         while (taken := take(self.entity)) is not None:
-            data, received = taken
+            data, received, _ = taken
             now = time.monotonic_ns()
             came = now - min(max(time.time_ns() - received, 0), now - self._looked)
             if came >= recorder.began:

@@ -11,6 +11,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+import llvmlite.binding
+import numba
 import pytest
 from numba.core.dispatcher import Dispatcher
 
@@ -108,6 +110,34 @@ def test_kernels_go_by_content_not_by_place_and_time(tmp_path: Path) -> None:
         edited.write_text(text or edited.read_text().replace("2.0", "3.0"))
         told, now, last = finish(start(second, cache))
         assert (told.split(":")[0], now, last.split()[2] == folder) == ("compiling kernels", value, False)
+
+
+@compiling.exact
+def rest_exact(a: float, b: float) -> float:
+    return a * a - b
+
+
+@compiling.stage
+def rest_fused(a: float, b: float) -> float:
+    return a * a - b
+
+
+@compiling.kernel
+def exact(a: float, b: float) -> float:
+    return rest_exact(a, b)
+
+
+@compiling.kernel
+def fused(a: float, b: float) -> float:
+    return rest_fused(a, b)
+
+
+def test_exact_functions_round_as_python_does() -> None:
+    """Of a square less its rounded value nothing is left; where the two are fused, the rounding is."""
+    numbers = (1.1, 1.3, 1.7, 2.3)
+    assert [exact(a, a * a) for a in numbers] == [0.0] * 4
+    if not numba.config.DISABLE_JIT and llvmlite.binding.get_host_cpu_features().get("fma"):
+        assert any(fused(a, a * a) for a in numbers)
 
 
 def test_sources_are_those_that_imports_lead_to(tmp_path: Path) -> None:
