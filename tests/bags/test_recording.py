@@ -263,13 +263,58 @@ def test_nothing_comes_after_the_end() -> None:
     assert made.sequence[0] > 20
 
 
-def test_who_hangs_in_a_message_is_not_waited_for_for_ever() -> None:
-    """Whoever ends the recording is told."""
+class Logged(Words):
+    """What is done with words, in order."""
+
+    def __init__(self, words: Any) -> None:
+        super().__init__(words)
+        self.log: list[tuple[str, int]] = []
+
+    def fence(self) -> None:
+        self.log.append(("fence", -1))
+
+    def __getitem__(self, k: int) -> int:
+        self.log.append(("read", k))
+        return super().__getitem__(k)
+
+    def __setitem__(self, k: int, value: int) -> None:
+        self.log.append(("write", k))
+        super().__setitem__(k, value)
+
+
+def test_who_puts_and_who_ends_cannot_miss_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each writes its word and then looks at the other's, a fence between; `put` says at last that it is out."""
+    here, _ = shared(1000, 7)
+    made = begun(here)
+    control = Logged(made.control)
+    handle = made._replace(control=control)
+    uncompiled(monkeypatch, made, here.rings[LOOP], made.words)
+    for module in (atomics, recording):
+        monkeypatch.setattr(module, "fence", control.fence)
+    for act, own, its in (
+        (lambda: getattr(put, "py_func", put)(handle, 0, 0, BYTES, 10), INSIDE, ACTIVE),
+        (lambda: recording.end(handle, 0.0), ACTIVE, INSIDE),
+    ):
+        control.log.clear()
+        assert act()
+        wrote, looked = control.log.index(("write", own)), control.log.index(("read", its))
+        assert ("fence", -1) in control.log[wrote:looked]
+        if own == INSIDE:
+            assert control.log[-1] == ("write", INSIDE)
+            assert made.control[INSIDE] == 0
+
+
+def test_who_ends_a_recording_waits_for_the_end_of_a_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not for ever: it is told when it does not come."""
     here, _ = shared(1000, 7)
     made = begun(here)
     made.control[INSIDE] = 1
     assert not recording.end(made, 0.01)
     assert made.control[ACTIVE] == 0
+    waits = iter([1, 1, 0])
+    monkeypatch.setattr(recording.time, "sleep", lambda _: made.control.__setitem__(INSIDE, next(waits)))
+    assert recording.end(made, TIMEOUT)
+    assert list(waits) == []
 
 
 def test_beside_a_recording_nothing_is_taken_or_counted() -> None:
