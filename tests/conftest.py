@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parent
 WITHOUT_KERNELS = ("bags", "recordings", "scene", "truth")
-"""Folders whose tests need no compiled kernels: they run while the first node compiles them."""
+"""Folders whose tests need no kernels of a step: they run while the first node compiles them."""
 MIDDLE = "test_p"
 """Files of `ros` before it take as long as those after it."""
 

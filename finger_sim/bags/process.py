@@ -1,6 +1,6 @@
 """A process that writes bags, one after the other, for another that must not wait.
 
-`python -m finger_sim.bags.process DESCRIPTOR` takes messages from the Ring in that file. Its standard input says what
+`python -m finger_sim.bags.process DESCRIPTOR` takes messages from the Memory in that file. Its standard input says what
 to do, its standard output what came of it; both are lines of JSON. An `Order` begins a bag, and an `Ending` finishes it
 when all messages put before are in it. The answers are {"opened": true}, {"closed": true}, and {"error": why the bag
 ended}.
@@ -23,11 +23,11 @@ from typing import Any, TypedDict
 
 from ..errors import BagError
 from .metadata import Qos
-from .ring import Ring
+from .ring import Memory
 from .writer import BagWriter
 
-TAKE_PERIOD = 0.01
-"""Time between two looks at the ring during a recording [s]."""
+TAKE_PERIOD = 0.005
+"""Time between two looks at the memory during a recording [s]: half of the longest time that a message waits there."""
 FLUSH_PERIOD = 0.4
 """Longest time that a message stays in the memory of this process [s]."""
 NICENESS = 5
@@ -62,10 +62,10 @@ class Ending(TypedDict):
 
 
 class Scribe:
-    """Writes what is in the ring; `answer` is told what came of an order."""
+    """Writes what is put into the memory; `answer` is told what came of an order."""
 
-    def __init__(self, ring: Ring, answer: Callable[[dict[str, Any]], None]) -> None:
-        self._ring, self._answer = ring, answer
+    def __init__(self, memory: Memory, answer: Callable[[dict[str, Any]], None]) -> None:
+        self._memory, self._answer = memory, answer
         self._bag: BagWriter | None = None
         self._topics: list[str] = []
         self._flushed = 0.0
@@ -84,7 +84,7 @@ class Scribe:
         self._safely(lambda: self._finish(ending))
 
     def write(self) -> None:
-        """Writes what is in the ring; what has been in memory for long goes to the operating system."""
+        """Writes what was there a call before; what this process has kept for long goes to the operating system."""
         self._safely(self._write)
 
     def _safely(self, do: Callable[[], object]) -> None:
@@ -97,13 +97,13 @@ class Scribe:
             if bag is not None:
                 with contextlib.suppress(BagError):
                     bag.cut(reason)
-                self._ring.saved = bag.saved
+                self._memory.saved = bag.saved
                 reason = reason if isinstance(error, BagError) else f"{bag.path}: {reason}"
                 reason += "; what was recorded before stays readable"
             self._answer({"error": reason})
 
     def _begin(self, order: Order) -> None:
-        self._ring.begin_anew()
+        self._memory.begin_anew()
         self._bag = BagWriter(order["path"], **order["options"])
         self._topics = [topic["name"] for topic in order["topics"]]
         for topic in order["topics"]:
@@ -111,22 +111,22 @@ class Scribe:
             self._bag.add_topic(topic["name"], topic["type"], qos=Qos(*topic["qos"]), definition=(text, type_hash))
         self._answer({"opened": True})
 
-    def _write(self) -> None:
+    def _write(self, whole: bool = False) -> None:
         if self._bag is None:
             return
-        for topic, sequence, log_time, data in self._ring.take():
+        for topic, sequence, log_time, data in self._memory.take(whole):
             self._bag.write(self._topics[topic], data, log_time, sequence=sequence)
         if time.monotonic() - self._flushed >= FLUSH_PERIOD:
             self._bag.flush()
-            self._ring.saved = self._bag.saved
+            self._memory.saved = self._bag.saved
             self._flushed = time.monotonic()
 
     def _finish(self, ending: Ending) -> None:
         if self._bag is not None:
-            self._write()
+            self._write(whole=True)
             self._bag.say_at_end(ending["origin"])
             self._bag.close()
-            self._ring.saved = self._bag.saved
+            self._memory.saved = self._bag.saved
             self._bag = None
             self._answer({"closed": True})
 
@@ -136,8 +136,7 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.nice(NICENESS)
-    ring = Ring(int(sys.argv[-1]))
-    ring.touch()
+    memory = Memory(int(sys.argv[-1]))
     answers = os.dup(1)
     os.dup2(2, 1)  # what a library prints is no answer
 
@@ -145,7 +144,7 @@ def main() -> int:
         with contextlib.suppress(BrokenPipeError):  # nobody is left to hear it
             os.write(answers, json.dumps(what).encode() + b"\n")
 
-    scribe = Scribe(ring, answer)
+    scribe = Scribe(memory, answer)
     orders = select.poll()
     orders.register(0, select.POLLIN)
     heard = b""

@@ -1,7 +1,8 @@
-"""What the functions and operators of lanes.py are to the compiler: the only place with compiler tricks.
+"""What lanes.py and atomics.py are to the compiler: the only place with compiler tricks.
 
 numba gets two types each for vectors and for truth values of 4 and of 8 lanes, <8 x double> and <8 x i1> to LLVM, and
-for every function of lanes.py the instructions that do the same. compile.py imports this before it compiles anything.
+for every function of the two files the instructions that do the same. compile.py imports this before it compiles
+anything.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numba.core.datamodel import models
 from numba.core.extending import lower_builtin, register_model, type_callable
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 
+from .atomics import fence, load_acquire, store_release
 from .lanes import (
     absolute,
     add3,
@@ -397,3 +399,38 @@ def _lower_sums3(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     first, second = _shuffle(builder, even_xy, even_zw, [0, 1, 4, 5]), _shuffle(builder, odd_xy, odd_zw, [0, 1, 4, 5])
     third = _shuffle(builder, even_xy, even_zw, [2, 3, 6, 7])
     return builder.fadd(builder.fadd(first, second, flags=_FLAGS), third, flags=_FLAGS)
+
+
+_WORD = ir.IntType(64)
+
+
+def _word(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    """Address of args[0][args[1]]."""
+    k, zero = _index(context, builder, sig, args, 1), ir.Constant(_WORD, 0)
+    return _as(builder, _pointer(context, builder, sig.args[0], args[0], k, zero, 1), _WORD)
+
+
+def _words(kind: Any) -> bool:
+    return isinstance(kind, types.Array) and kind.ndim == 1 and kind.dtype == types.int64
+
+
+@_function(fence, lambda: types.none, ())
+def _lower_fence(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    builder.fence("seq_cst")
+    return context.get_dummy_value()
+
+
+@_function(load_acquire, lambda words, k: types.int64 if _words(words) else None, (types.Array, types.Integer))
+def _lower_load_acquire(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return builder.load_atomic(_word(context, builder, sig, args), "acquire", 8)
+
+
+@_function(
+    store_release,
+    lambda words, k, value: types.none if _words(words) else None,
+    (types.Array, types.Integer, types.Integer),
+)
+def _lower_store_release(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    value = context.cast(builder, args[2], sig.args[2], types.int64)
+    builder.store_atomic(value, _word(context, builder, sig, args), "release", 8)
+    return context.get_dummy_value()

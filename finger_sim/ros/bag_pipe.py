@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import IO, Any
 
 from ..bags.process import Ending, Order
-from ..bags.ring import Ring, make_file
+from ..bags.ring import Memory, make_file
 from ..errors import BagError
 
 COMMAND = (sys.executable, "-m", "finger_sim.bags.process")
@@ -23,30 +23,31 @@ END_TIMEOUT = 0.2
 
 
 class BagPipe:
-    """A process that writes bags; used by one thread at a time, but for `ring`.
+    """A process that writes bags; used by one thread at a time, but for `memory`.
 
-    ring : takes the messages of the bag that is open
+    memory : for the messages of the bag that is open
 
     Raises BagError when the process cannot be started.
     """
 
     def __init__(self, command: Sequence[str] = COMMAND) -> None:
-        file = make_file()
         try:
-            self.ring = Ring(file)
-            # In a process group of its own it does not get the Ctrl-C that is meant for this process.
-            self._process = subprocess.Popen(
-                [*command, str(file)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                pass_fds=[file],
-                process_group=0,
-                bufsize=0,
-            )
+            file = make_file()
+            try:
+                self.memory = Memory(file)
+                # In a process group of its own it does not get the Ctrl-C that is meant for this process.
+                self._process = subprocess.Popen(
+                    [*command, str(file)],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    pass_fds=[file],
+                    process_group=0,
+                    bufsize=0,
+                )
+            finally:
+                os.close(file)
         except OSError as error:
             raise BagError(f"the process that writes bags cannot be started: {error}") from None
-        finally:
-            os.close(file)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._orders, self._answers = self._process.stdin, self._process.stdout

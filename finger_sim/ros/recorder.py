@@ -5,6 +5,9 @@ this process's interpreter. When too many messages wait, whole ones are dropped 
 sequence number on arrival, so that a loss shows as a gap in the bag. Where this process is killed, the bag is
 finished all the same.
 
+A loop in compiled code hands over its messages by itself (`bags.recording`), all others by `Recorder.put`. On one topic
+only one of the two may put messages at a time; they share its sequence numbers.
+
 Log times count on the steady clock from the wall clock's time at the start: when that jumps, the order and the
 distances of messages stay true.
 """
@@ -18,14 +21,17 @@ from dataclasses import astuple
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..bags import cdr
+from ..bags import cdr, recording
 from ..bags.process import Order
 from ..bags.reader import Qos
+from ..bags.ring import OTHERS
 from ..errors import BagError
 from .bag_pipe import BagPipe
 
 TIMEOUT = 5.0
 """How long the disk may take to begin a bag, and to finish it [s]."""
+PUT_TIMEOUT = 1.0
+"""How long the loop may be in the middle of a message when a recording ends [s]."""
 
 
 class RecordedTopic(NamedTuple):
@@ -42,6 +48,7 @@ class Recorder:
     `put` may be called by any thread, all else by one at a time.
 
     began    : steady time from which messages are taken [ns]
+    loop     : where a loop in compiled code puts its messages; of use as long as it likes
     path     : folder of the bag; BagError if it exists or cannot be made
     topics   : announced in this order
     capacity : messages that may wait to be written
@@ -60,15 +67,16 @@ class Recorder:
         failed: Callable[[str], object] = lambda _: None,
     ) -> None:
         self.path = Path(path).absolute()
-        self.dropped = 0
         self.error: str | None = None
-        self._capacity, self._pipe, self._ring = capacity, pipe, pipe.ring
+        self._pipe, self._memory, self._ring = pipe, pipe.memory, pipe.memory.rings[OTHERS]
+        self._ring.capacity = capacity
         self._failed: Callable[[str], object] = lambda _: None  # who makes a recorder gets an exception
         self._zero = time.time_ns() - time.monotonic_ns()
         self._numbers = {topic.name: number for number, topic in enumerate(topics)}
-        self._sequences = {topic.name: 0 for topic in topics}
+        self.loop = recording.build_recording(pipe.memory, len(topics), capacity, self._zero)
+        self._sequences = self.loop.sequence.data
         self._lock = threading.Lock()
-        self._accepted, self._most = 0, capacity
+        self._dropped = 0
         self._written: int | None = None
         self._closing = False
         order: Order = {
@@ -85,6 +93,7 @@ class Recorder:
             raise BagError(self.error)
         self._failed = failed
         self.began = time.monotonic_ns()
+        recording.begin(self.loop, self.began)
 
     @property
     def active(self) -> bool:
@@ -92,24 +101,30 @@ class Recorder:
         return self.error is None and not self._closing
 
     @property
+    def dropped(self) -> int:
+        """Messages that found no room."""
+        return self._dropped + int(self.loop.control[recording.DROPPED])
+
+    @property
     def written(self) -> int:
         """Messages that have reached the bag's file; where its process was killed, or hangs, it may hold more."""
-        return self._ring.saved if self._written is None else self._written
+        return self._memory.saved if self._written is None else self._written
 
     def put(self, topic: str, data: bytes, received: int) -> bool:
         """Hands over one message of CDR bytes received at a steady time [ns]; False if it was dropped."""
         with self._lock:
-            sequence = self._sequences[topic] = self._sequences[topic] + 1
             if self._closing or self.error is not None:
                 return False
-            if self._accepted >= self._most:
-                self._most = self._ring.done + self._capacity
-            room = self._accepted < self._most
-            if room and self._ring.put(self._numbers[topic], sequence, self._zero + received, data):
-                self._accepted += 1
+            number = self._numbers[topic]
+            sequence = self._sequences[number] = self._sequences[number] + 1
+            if self._ring.put(number, sequence, self._zero + received, data):
                 return True
-            self.dropped += 1
+            self._dropped += 1
             return False
+
+    def number(self, topic: str) -> int:
+        """The number of a topic for the loop."""
+        return self._numbers[topic]
 
     def check(self) -> None:
         """Looks whether the recording has ended by itself; to be called now and then."""
@@ -125,8 +140,11 @@ class Recorder:
             return
         with self._lock:
             self._closing = True
-        self._pipe.order({"origin": dict(origin or {})}, timeout)
-        self._await("closed", timeout)
+        if recording.end(self.loop, PUT_TIMEOUT):
+            self._pipe.order({"origin": dict(origin or {})}, timeout)
+            self._await("closed", timeout)
+        else:
+            self._end(f"{self.path}: the loop did not come to the end of a message within {PUT_TIMEOUT:g} s")
 
     def summary(self) -> str:
         """One line: the bag, what it holds, and what went wrong."""
@@ -157,9 +175,11 @@ class Recorder:
         return set(answers)
 
     def _end(self, error: str | None) -> None:
-        """From now on the process is another's."""
+        """From now on the process is another's, or nobody's where the loop may still put a message into its memory."""
+        if not recording.end(self.loop, PUT_TIMEOUT):
+            self._pipe.let_go()
         with self._lock:
-            self._written = self._ring.saved
+            self._written = self._memory.saved
             self.error = error
         if error is not None:
             self._failed(f"recording stopped: {error}")

@@ -28,7 +28,7 @@ def tiny(root: Path) -> Path:
     """A package of that name with a kernel, its callee in another file and a constant outside physics/."""
     physics = root / "finger_sim" / "physics"
     physics.mkdir(parents=True)
-    for name in ("compile", "folders", "kept", "lanes", "lowering", "progress", "sources"):
+    for name in ("atomics", "compile", "folders", "kept", "lanes", "lowering", "progress", "sources"):
         shutil.copy(PACKAGE / "physics" / f"{name}.py", physics)
     shutil.copy(PACKAGE / "arrays.py", physics.parent)
     for file in (physics / "__init__.py", physics.parent / "__init__.py", physics.parent / "apart.py"):

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import math
 import os
-import resource
 import signal
 import sys
 import time
-from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
+from recorder_helpers import TOPICS, WRENCH, Disk, sequences, until
 from ros_helpers import (
     BLOCK_DT,
     Client,
@@ -32,57 +30,13 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from finger_sim import BagError, Scene
-from finger_sim.bags.reader import BagReader, Qos
-from finger_sim.bags.ring import SIZE
-from finger_sim.ros.bag_pipe import COMMAND, Standby
-from finger_sim.ros.recorder import RecordedTopic, Recorder
+from finger_sim.bags.reader import BagReader
+from finger_sim.bags.ring import OTHERS, SIZES
+from finger_sim.ros.recorder import Recorder
 from finger_sim.simulation import replay
 
-TOPICS = [
-    RecordedTopic("/a", "geometry_msgs/msg/WrenchStamped", Qos()),
-    RecordedTopic("/b", "geometry_msgs/msg/PoseStamped", Qos()),
-]
-WRENCH = bytes([0, 1, 0, 0]) + bytes(60)
 TRIES = 4
 """Recordings until the loop keeps its rate."""
-
-
-class Disk:
-    """A process that writes bags, and recordings to it; `told` is why they ended."""
-
-    def __init__(self, folder, command=COMMAND):
-        self.standby = Standby(command)
-        self.path = folder / "bag"
-        self.told = []
-
-    def record(self, capacity=1000):
-        return Recorder(self.path, TOPICS, capacity, self.standby.pipe(), failed=self.told.append)
-
-    @property
-    def pid(self):
-        return bag_process(os.getpid())
-
-    @contextlib.contextmanager
-    def stalled(self):
-        """It takes nothing meanwhile."""
-        pid = self.pid
-        os.kill(pid, signal.SIGSTOP)
-        try:
-            yield
-        finally:
-            os.kill(pid, signal.SIGCONT)
-
-    @contextlib.contextmanager
-    def full(self):
-        """The system refuses meanwhile to write more than so far."""
-        pid = self.pid
-        before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
-        used = max(file.stat().st_size for file in self.path.iterdir())
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, (used, before[1]))
-        try:
-            yield
-        finally:
-            resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
 
 
 @pytest.fixture
@@ -90,24 +44,6 @@ def disk(tmp_path):
     disk = Disk(tmp_path)
     yield disk
     disk.standby.end()
-
-
-def until(condition, repeat=lambda: None):
-    """Waits for a condition and gives its value; `repeat` is called meanwhile."""
-    end = time.monotonic() + 60
-    while not (value := condition()):
-        assert time.monotonic() < end, "the condition did not come true"
-        repeat()
-        time.sleep(0.01)
-    return value
-
-
-def sequences(path):
-    """Sequence numbers by topic of a bag."""
-    found = defaultdict(list)
-    for message in BagReader(path).messages():
-        found[message.topic].append(message.sequence)
-    return found
 
 
 def test_a_full_queue_drops_whole_messages_and_the_gap_shows(disk):
@@ -148,7 +84,7 @@ def test_more_bytes_than_may_wait_are_dropped_too(disk):
         taken = [recorder.put("/a", bytes(1_000_000), 1000 + i) for i in range(20)]
     kept = sum(taken)
     assert taken == [True] * kept + [False] * (20 - kept)
-    assert kept == SIZE // 1_000_100
+    assert kept == SIZES[OTHERS] // 1_000_100
     until(lambda: recorder.put("/b", bytes(1_000_000), 2000))
     recorder.close()
     found = sequences(disk.path)
