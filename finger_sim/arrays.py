@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 Floats: TypeAlias = NDArray[np.float64]
 Bytes: TypeAlias = NDArray[np.uint8]
 Ints: TypeAlias = NDArray[np.signedinteger[Any]]
-Bytes: TypeAlias = NDArray[np.uint8]
 
 
 def read_only(array: Floats) -> Floats:

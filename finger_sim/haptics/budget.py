@@ -9,13 +9,16 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections import deque
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
+from numba import types
 
+from ..arrays import Floats, Ints
+from ..physics.compile import kernel, stage
+from ..physics.records import direct, held
 from ..plain import plain
 from ..scene import Scene, Solver
 from ..scene.mesh import TetMesh
@@ -112,43 +115,107 @@ def _claims() -> dict[str, dict[str, float]]:
     return {measured["fingerprint"]: measured["rms"] for measured in claims["scenes"].values()}
 
 
+class Purse(NamedTuple):
+    """A Budget, for compiled code; (1,) each, unless said.
+
+    seconds  : that a step may take; 0: there is no budget
+    times    : (WINDOW,) of the last steps on this rung [s]; number k lies in row k % WINDOW
+    rungs    : of the ladder
+    rung     : stood on
+    moves    : times the rung changed
+    kept     : times so far on this rung, and since the rung changed
+    patience : steps on a rung before the next one up is tried
+    tried    : 1 where the last move was up
+    """
+
+    seconds: Floats
+    times: Floats
+    rungs: Ints
+    rung: Ints
+    moves: Ints
+    kept: Ints
+    patience: Ints
+    tried: Ints
+
+
+def build_purse(seconds: float = 0.0, rungs: int = 1) -> Purse:
+    """On the first of so many rungs."""
+    whole = {name: np.zeros(1, np.int64) for name in Purse._fields[2:]}
+    purse = Purse(np.full(1, seconds), np.zeros(WINDOW), **whole)
+    purse.rungs[0], purse.patience[0] = rungs, PATIENCE
+    return purse
+
+
 class Budget:
-    """Which of so many rungs to stand on; told how long each step took."""
+    """Which of so many rungs to stand on; told how long each step took.
+
+    purse : what it knows, for compiled code
+    """
 
     def __init__(self, seconds: float, rungs: int) -> None:
-        self.seconds = seconds
-        self.last = rungs - 1
-        self.rung = 0
-        self.moves = 0
+        self.purse = build_purse(seconds, rungs)
+
+    @property
+    def seconds(self) -> float:
+        """That a step may take [s]."""
+        return float(self.purse.seconds[0])
+
+    @property
+    def rung(self) -> int:
+        """Stood on, from 0 on."""
+        return int(self.purse.rung[0])
+
+    @property
+    def moves(self) -> int:
         """Times the rung changed."""
-        self._times: deque[float] = deque(maxlen=WINDOW)
-        self._since = 0
-        self._patience = PATIENCE
-        self._tried = False
+        return int(self.purse.moves[0])
 
     def spent(self, seconds: float) -> bool:
         """One step took so long; whether `rung` changed by it."""
-        self._times.append(seconds)
-        self._since += 1
-        if len(self._times) < WINDOW:
-            return False
-        if sum(time > self.seconds for time in self._times) >= OVER:
-            if self._tried and self._since < self._patience:
-                self._patience = min(2 * self._patience, MOST_PATIENCE)
-            return self._move(1)
-        if self._since < self._patience:
-            return False
-        if self._tried:
-            self._patience, self._tried = PATIENCE, False
-        if self.rung > 0 and sorted(self._times)[9 * WINDOW // 10] < EASY * self.seconds:
-            return self._move(-1)
-        return False
+        return bool(self._spent(self._held, seconds))
 
-    def _move(self, down: int) -> bool:
-        rung = min(self.rung + down, self.last)
-        if rung == self.rung:
-            return False
-        self.rung, self._since, self._tried = rung, 0, down < 0
-        self.moves += 1
-        self._times.clear()
-        return True
+    @cached_property
+    def _held(self) -> Any:
+        return held(self.purse)
+
+    @cached_property
+    def _spent(self) -> Any:
+        return direct(spent, self._held, types.float64)
+
+
+@kernel
+def spent(purse: Purse, seconds: float) -> bool:
+    """`Budget.spent`."""
+    times, budget = purse.times, purse.seconds[0]
+    times[purse.kept[0] % WINDOW] = seconds
+    purse.kept[0] += 1
+    kept = purse.kept[0]
+    if kept < WINDOW:
+        return False
+    over = easy = 0
+    for k in range(WINDOW):
+        over += 1 if times[k] > budget else 0
+        easy += 1 if times[k] < EASY * budget else 0
+    if over >= OVER:
+        if purse.tried[0] != 0 and kept < purse.patience[0]:
+            purse.patience[0] = min(2 * purse.patience[0], MOST_PATIENCE)
+        return _move(purse, 1)
+    if kept < purse.patience[0]:
+        return False
+    if purse.tried[0] != 0:
+        purse.patience[0], purse.tried[0] = PATIENCE, 0
+    return purse.rung[0] > 0 and easy > 9 * WINDOW // 10 and _move(purse, -1)
+
+
+@stage
+def _move(purse: Purse, down: int) -> bool:
+    rung = min(purse.rung[0] + down, purse.rungs[0] - 1)
+    if rung == purse.rung[0]:
+        return False
+    purse.rung[0], purse.kept[0], purse.tried[0] = rung, 0, 1 if down < 0 else 0
+    purse.moves[0] += 1
+    return True
+
+
+KERNELS = (spent,)
+"""What a Budget calls."""

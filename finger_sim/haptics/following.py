@@ -21,6 +21,7 @@ goes a little faster than the hand, and not in one step where the hand went in t
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -72,6 +73,7 @@ class Course(NamedTuple):
 
     pose     : (7,) where the bone is wanted at the end of the last step
     before   : (7,) at its start
+    last     : (7,) the command heard last, or where it rests
     time     : simulated, at the end of the last step
     offset   : from the commands' clock to simulated time; NaN before the first step
     late     : of the path behind the commands
@@ -85,6 +87,7 @@ class Course(NamedTuple):
 
     pose: Floats
     before: Floats
+    last: Floats
     time: Floats
     offset: Floats
     late: Floats
@@ -101,7 +104,7 @@ class Course(NamedTuple):
 def build_course() -> Course:
     """One to be put at rest."""
     fields: dict[str, Any] = {
-        **side_by_side(Course, pose=7, before=7, heard=0, waiting=0, path=0, cadence=0, prediction=0)
+        **side_by_side(Course, pose=7, before=7, last=7, heard=0, waiting=0, path=0, cadence=0, prediction=0)
     }
     fields |= {"heard": np.zeros((HEARD, 8)), "waiting": np.zeros(1, np.int64)}
     return Course(**fields | {"path": build_path(), "cadence": build_cadence(), "prediction": build_prediction()})
@@ -111,7 +114,6 @@ class Follower:
     """Follows commands; see the top of this file. Times are in s, of the clock that commands are received by.
 
     course, held : what it knows, as arrays and as kernels take it
-    last         : the command heard last, or where it rests
     """
 
     def __init__(self, pose: Pose) -> None:
@@ -119,17 +121,22 @@ class Follower:
         self.held = held(self.course)
         self._rest = direct(rest, self.held, _POSE, _POSE)
         self._hear = direct(hear, self.held, _POSE, types.float64)
-        self._advance = direct(advance, self.held, types.int64, types.float64, types.float64)
-        self.last = pose
-        self._pose: Pose | None = pose
         self.rest(pose)
+
+    @cached_property
+    def _advance(self) -> Any:
+        """Compiled when first called: a Simulator's step calls the kernel itself."""
+        return direct(advance, self.held, types.int64, types.float64, types.float64)
+
+    @property
+    def last(self) -> Pose:
+        """The command heard last, or where it rests."""
+        return pose_of(self.course.last)
 
     @property
     def pose(self) -> Pose:
         """Where the bone is wanted at the end of the last step."""
-        if self._pose is None:
-            self._pose = pose_of(self.course.pose)
-        return self._pose
+        return pose_of(self.course.pose)
 
     @property
     def cadence(self) -> Rhythm | None:
@@ -138,24 +145,16 @@ class Follower:
 
     def rest(self, pose: Pose, goal: Pose | None = None) -> None:
         """At rest at `pose`, and on to `goal` in RESUME, if that is given; what was heard is forgotten."""
-        self.last = pose if goal is None else goal
-        self._pose = pose
-        self._rest(self.held, numbers(pose), numbers(self.last))
+        self._rest(self.held, numbers(pose), numbers(pose if goal is None else goal))
 
     def hear(self, pose: Pose, received: float | None = None) -> None:
         """A command that came at a time, by which the next step begins; None: just as that begins."""
-        self.last = pose
         self._hear(self.held, numbers(pose), math.nan if received is None else received)
 
     def advance(self, following: Following, now: float | None, dt: float) -> Pose:
         """One step of `dt` that begins at a time; None: dt after the last one began. Where the bone is wanted then."""
-        there = self._advance(self.held, MODES[following], math.nan if now is None else now, dt)
-        self.arrived(there)
+        self._advance(self.held, MODES[following], math.nan if now is None else now, dt)
         return self.pose
-
-    def arrived(self, there: bool) -> None:
-        """A step was made, at the end of which the bone is wanted right at the last command, or not."""
-        self._pose = self.last if there else None
 
     def delay(self, following: Following) -> float:
         """Of the bone behind the commands [s]; one that is reached by the end of the step that hears it has none."""
@@ -172,6 +171,7 @@ def rest(course: Course, pose: Numbers, goal: Numbers) -> None:
     """At rest at a pose, and on to a goal in RESUME, where that is another; what was heard is forgotten."""
     write(course.pose, pose)
     write(course.before, pose)
+    write(course.last, goal)
     course.time[0] = course.late[0] = course.window[0] = course.stalled[0] = course.predicts[0] = 0.0
     course.offset[0] = math.nan
     course.waiting[0] = 0
@@ -189,15 +189,16 @@ def hear(course: Course, pose: Numbers, received: float) -> None:
     """A command for the next step, and the time of its receipt [s]; NaN: just as that step begins."""
     row = course.heard[course.waiting[0] % HEARD]
     write(row, pose)
+    write(course.last, pose)
     row[7] = received
     course.waiting[0] += 1
 
 
 @kernel
-def advance(course: Course, following: int, now: float, dt: float) -> bool:
+def advance(course: Course, following: int, now: float, dt: float) -> None:
     """One step of `dt` that begins at a time [s]; NaN: dt after the last one began.
 
-    Where the bone is wanted then is in course.pose; whether that is right at the command heard last.
+    Where the bone is wanted then is in course.pose.
     """
     begin, path = course.time[0], course.path
     stalls = _keep_time(course, now, begin, dt)
@@ -220,7 +221,6 @@ def advance(course: Course, following: int, now: float, dt: float) -> bool:
         else:
             through.mean(path, end - course.window[0], end, course.pose)
     write(course.before, before)
-    return bool(read(course.pose) == last)
 
 
 @stage
@@ -336,5 +336,5 @@ def _widen(course: Course, begin: float, dt: float, following: int) -> None:
         course.window[0] = window + min(max(wanted - window, -most), most)
 
 
-KERNELS = (rest, hear, advance)
+KERNELS = (rest, hear)
 """What a Follower calls."""

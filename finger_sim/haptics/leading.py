@@ -1,7 +1,7 @@
 """One step of the driven bone, from the commands heard to where its nodes are wanted, in compiled code.
 
 commands → goal (following.py) → no faster than the coupling allows → not past the plane → start and end of the step,
-the velocity, and the driven nodes at a part of it. simulation/drive.py calls it.
+the velocity, and the driven nodes at a part of it. simulation/whole.py calls it.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from .coupling import LONGEST_GAP, allowed_part, between_numbers, height, way_an
 from .following import HOLD, Course
 from .path import read, turn, write
 
-MOVES, STAYS, LIMITED, AT_GOAL, AT_COMMAND = 1, 2, 4, 8, 16
-"""What a step was: the bone is wanted elsewhere, or with a velocity; exactly where it was; held back by a speed limit
-or the plane; wanted exactly at the command heard last by its path, and at its end."""
+MOVES, LIMITED = 1, 2
+"""What a step was: the bone is wanted elsewhere, or with a velocity; held back by a speed limit or the plane."""
 
 
 class Lead(NamedTuple):
@@ -36,6 +35,7 @@ class Lead(NamedTuple):
     centre     : (3,) mean of the driven nodes, as read
     normal     : (3,) of the plane, unit, outward
     point      : (3,) of the plane
+    driven     : 1 where the body has a bone
     stops      : 1 where the centre does not pass the plane
     yields     : 1 where the bone is on a spring (a virtual coupling)
     jumps      : 1 while commands are held, so that the bone is wanted in jumps
@@ -49,6 +49,7 @@ class Lead(NamedTuple):
     centre: Floats
     normal: Floats
     point: Floats
+    driven: Floats
     stops: Floats
     yields: Floats
     jumps: Floats
@@ -61,25 +62,24 @@ class Lead(NamedTuple):
     course: Course
 
 
-def build_lead(course: Course, points: Floats, target: Floats) -> Lead:
-    """target: (13,) is shared as `wanted` and `velocity`."""
-    given = ("wanted", "velocity", "points", "targets", "course")
-    fields: dict[str, Any] = {
-        **side_by_side(Lead, start=7, end=7, fastest=2, centre=3, normal=3, point=3, **dict.fromkeys(given, 0))
-    }
+def build_lead(course: Course, points: Floats, target: Floats, surface: tuple[Floats, Floats]) -> Lead:
+    """Shared: target (13,) as `wanted` and `velocity`, surface as `normal` and `point`."""
+    given = ("wanted", "velocity", "points", "targets", "course", "normal", "point")
+    fields: dict[str, Any] = {**side_by_side(Lead, start=7, end=7, fastest=2, centre=3, **dict.fromkeys(given, 0))}
     fields |= {"wanted": target[:7], "velocity": target[7:], "points": np.ascontiguousarray(points)}
+    fields |= {"normal": surface[0], "point": surface[1]}
     return Lead(**fields | {"targets": points.copy(), "course": course})
 
 
-@kernel
+@stage
 def advance(lead: Lead, mode: int, now: float, dt: float, part: float) -> int:
     """One step of `dt` that begins at a time [s]; NaN: dt after the last one began. What it was, of the bits above.
 
     mode: of following. Afterwards `wanted` and `targets` are those after a part of the step.
     """
     course, start = lead.course, read(lead.end)
-    told = AT_GOAL if following.advance(course, mode, now, dt) else 0
-    end, goal = start, read(course.pose)
+    following.advance(course, mode, now, dt)
+    told, end, goal = 0, start, read(course.pose)
     if start != goal:
         allowed = allowed_part(start, goal, lead.fastest[0] * dt, lead.fastest[1] * dt)
         end = between_numbers(start, goal, allowed)
@@ -94,11 +94,12 @@ def advance(lead: Lead, mode: int, now: float, dt: float, part: float) -> int:
     if lead.yields[0] != 0.0:
         _measure(lead, mode, dt)
     put(lead, part)
-    told |= STAYS if end == start else MOVES
+    if end != start:
+        told |= MOVES
     for i in range(6):
         if lead.velocity[i] != 0.0:
             told |= MOVES
-    return told | (AT_COMMAND if end == path.last_pose(course.path) else 0)
+    return told
 
 
 @kernel
@@ -162,5 +163,5 @@ def _set(velocity: Floats, way: tuple[float, float, float, float, float, float],
         velocity[i] = way[i] / took
 
 
-KERNELS = (following.rest, following.hear, advance, put)
+KERNELS = (following.rest, following.hear, put)
 """What a Drive calls."""

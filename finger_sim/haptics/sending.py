@@ -59,6 +59,11 @@ class Sender:
         self._held = held(self.record)
         self._last, self._first = np.zeros(7), True
 
+    def allow(self, coupling: Coupling) -> None:
+        """From now on no more is sent than the coupling allows."""
+        for record in (self.record.rendered, self.record.account):
+            record.force_limit[0], record.torque_limit[0] = coupling.force_limit, coupling.torque_limit
+
     def send(
         self,
         wrench: Floats,
@@ -76,8 +81,7 @@ class Sender:
         Times in s. dt: of the step. transport: of the command from device to receipt. age: since that receipt, as the
         step began. took: since it began.
         """
-        for record in (self.record.rendered, self.record.account):
-            record.force_limit[0], record.torque_limit[0] = coupling.force_limit, coupling.torque_limit
+        self.allow(coupling)
         out, before, fresh = six(wrench), self._last, command is not None
         if command is not None:
             self._last = np.empty(7)

@@ -78,7 +78,8 @@ def code_digest() -> str:
 
 def _kernels_elsewhere() -> list[Path]:
     """Files with kernels beside those of physics."""
-    files = (file for room in ("bags", "haptics", "ros") for file in (_PACKAGE / room).glob("*.py"))
+    rooms = ("bags", "haptics", "ros", "simulation")
+    files = (file for room in rooms for file in (_PACKAGE / room).glob("*.py"))
     return [file for file in files if "from ..physics.compile import" in file.read_text(encoding="utf-8")]
 
 

@@ -13,10 +13,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ..arrays import Floats
-from .compile import stage
+from .compile import kernel, stage
 from .lanes import load4, sum3
 from .model import Model, State
 from .work import NODES_SEEN
@@ -27,13 +25,22 @@ _INERTIA = 30.0
 _MARGIN = 0.03  # nodes nearer than this part of the tetrahedra's size get rows: they may be pushed in
 
 
-def plane_frame(normal: Floats) -> Floats:
-    """Right-handed rows n, t₁, t₂ for a unit normal; t₁ lies along the world axis most across the normal."""
-    axis = np.zeros(3)
-    axis[np.argmin(np.abs(normal))] = 1.0
-    t1 = axis - normal * (normal @ axis)
-    t1 /= np.linalg.norm(t1)
-    return np.array([normal, t1, np.cross(normal, t1)])
+@kernel
+def plane_frame(normal: Floats, frame: Floats) -> None:
+    """Right-handed rows n, t₁, t₂ (3, 3) for a unit normal (3,); t₁ lies along the world axis most across it."""
+    a, b, c = normal[0], normal[1], normal[2]
+    x, y, z = 0.0, 0.0, 1.0
+    if abs(a) <= abs(b) and abs(a) <= abs(c):
+        x, z = 1.0, 0.0
+    elif abs(b) <= abs(c):
+        y, z = 1.0, 0.0
+    along = a * x + b * y + c * z
+    x, y, z = x - along * a, y - along * b, z - along * c
+    size = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / size, y / size, z / size
+    frame[0, 0], frame[0, 1], frame[0, 2] = a, b, c
+    frame[1, 0], frame[1, 1], frame[1, 2] = x, y, z
+    frame[2, 0], frame[2, 1], frame[2, 2] = b * z - c * y, c * x - a * z, a * y - b * x
 
 
 @stage

@@ -8,11 +8,13 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 from numba import types
+from numba.extending import overload
 
 from ..arrays import Floats
 from .kinematics import kinematics
 from .methods import NONE, TENSOR
 from .model import Model, State
+from .others import address_of, call_at
 from .records import Pointed
 from .step import step
 from .strain_limits import find_bounded, strain_ratio
@@ -30,15 +32,27 @@ class Ready(NamedTuple):
     arrays: State
     projection: int
     run: Callable[[Any, Any, Floats, float], None]  # step.step; compiled, without the search for a fitting version
+    address: int  # of its machine code, for `step_at`
 
 
 def ready(model: Model, state: State) -> Ready:
     """Both as addresses. A changed Model (with_live_values) needs a new one; arrays are shared, not copied."""
     if numba.config.DISABLE_JIT:
-        return Ready(model, state, state, model.projection, step)
+        return Ready(model, state, state, model.projection, step, 0)
     pointed, body = Pointed(model), Pointed(state)
-    run = step.compile((pointed.kind, body.kind, types.float64[:, ::1], types.float64))  # type: ignore[attr-defined]
-    return Ready(pointed, body, state, model.projection, run)
+    kinds = (pointed.kind, body.kind, types.float64[:, ::1], types.float64)
+    run = step.compile(kinds)  # type: ignore[attr-defined]
+    return Ready(pointed, body, state, model.projection, run, address_of(step, kinds))
+
+
+def step_at(address: int, model: Any, state: Any, targets: Floats, h: float) -> None:
+    """`advance` for kernels: step.step by the address of its machine code, which is not linked in once more."""
+    step(model, state, targets, h)
+
+
+@overload(step_at)
+def _step_at(address, model, state, targets, h):  # type: ignore  # numba compares this line with the next
+    return lambda address, model, state, targets, h: call_at(address, model, state, targets, h)
 
 
 def advance(both: Ready, targets: Floats, h: float) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-import enum
+from typing import NamedTuple
 
+from ..arrays import Floats
+from ..physics.compile import stage
+from ..physics.records import side_by_side
 from ..physics.step import CONTACTS, REACH, SPEED, Status
 
 STILL, STILL_TIME = 1e-6, 0.01
@@ -23,16 +26,12 @@ _STRAINED = int(Status.INVERTED | Status.LIMIT_EXCEEDED)
 _UNSETTLED = int(Status.STEP_REJECTED | Status.COMMAND_LIMITED)
 
 
-class Verdict(enum.Enum):
-    """What is to become of a body after a step."""
-
-    GOES_ON = enum.auto()
-    SLEEPS = enum.auto()
-    RESTORED = enum.auto()
+GOES_ON, SLEEPS, RESTORED = range(3)
+"""What is to become of a body after a step."""
 
 
-class Guard:
-    """Watches a body from step to step.
+class Guard(NamedTuple):
+    """Watches a body from step to step, in compiled code; (1,) each.
 
         ┌────────┐   at rest for STILL_TIME    ┌────────┐
         │        │ ──────────────────────────► │        │
@@ -46,57 +45,76 @@ class Guard:
         │ restored │   inside out and at rest for STILL_TIME; raging for RAGING_TIME:
         └──────────┘   strained, fast, and nothing touches or moves it
 
-    length: cube root of the mean tetrahedron volume [m]; reach: largest distance of a node at rest from the mesh's
-    origin [m]; sleeps: whether the scene lets bodies sleep.
+    still_speed  : up to which a body is at rest [m/s]
+    raging_speed : from which it may rage [m/s]
+    torn         : distance from the finger frame's origin from which it is torn [m]
+    driven       : 1 where it has a bone
+    sleeps       : 1 where the scene lets bodies sleep
+    still, raging, rejections : steps in a row, up to now
+    asleep       : 1 while it is
+    slept        : steps that were not computed since the body fell asleep
     """
 
-    def __init__(self, length: float, reach: float, *, driven: bool, sleeps: bool) -> None:
-        self._still_speed, self._raging_speed = STILL * length, RAGING * length
-        self._torn, self._driven, self._sleeps = TORN * reach, driven, sleeps
-        self._still = self._raging = 0  # steps in a row, up to now
-        self._rejections = 0
-        self.asleep = False
-        self.slept = 0
-        """Steps that were not computed since the body fell asleep."""
+    still_speed: Floats
+    raging_speed: Floats
+    torn: Floats
+    driven: Floats
+    sleeps: Floats
+    still: Floats
+    raging: Floats
+    rejections: Floats
+    asleep: Floats
+    slept: Floats
 
-    def wake(self) -> None:
-        """Something was changed from outside: compute the next step, and judge anew."""
-        self.asleep = False
-        self._still = self._raging = 0
 
-    def advance(self, moves: bool) -> bool:
-        """One step; `moves`: whether bone or plane do. Whether it has to be computed."""
-        if moves:
-            self.asleep = False
-        self.slept = self.slept + 1 if self.asleep else 0
-        return not self.asleep
+def build_guard(length: float, reach: float, *, driven: bool, sleeps: bool) -> Guard:
+    """length: cube root of the mean tetrahedron volume [m]; reach: largest distance of a node at rest from the mesh's
+    origin [m]; sleeps: whether the scene lets bodies sleep.
+    """
+    guard = Guard(**side_by_side(Guard))
+    guard.still_speed[0], guard.raging_speed[0], guard.torn[0] = STILL * length, RAGING * length, TORN * reach
+    guard.driven[0], guard.sleeps[0] = driven, sleeps
+    return guard
 
-    def broken(self, status: int, result: list[float], h: float) -> bool:
-        """Whether a body is beyond repair after a substep of h [s]. result: State.result; status: what it came to.
 
-        A free body's frame is that of the step before, so that it may be further from it by one step's way.
-        """
-        self._rejections = self._rejections + 1 if status & _REJECTED else 0
-        far = self._torn + (0.0 if self._driven else h * result[SPEED])
-        return self._rejections >= MOST_REJECTIONS or result[REACH] > far
+def wake(guard: Guard) -> None:
+    """Something was changed from outside: compute the next step, and judge anew."""
+    guard.asleep[0] = guard.still[0] = guard.raging[0] = 0.0
 
-    def restored(self) -> None:
-        """The body begins anew."""
-        self._rejections = 0
-        self.wake()
 
-    def judge(self, status: int, result: list[float], moves: bool, dt: float) -> Verdict:
-        """What is to become of the body after a step of dt [s]. result: State.result of its last substep."""
-        speed, touches = result[SPEED], result[CONTACTS] > 0
-        rages = status & _STRAINED and not touches and speed > self._raging_speed and not moves
-        self._raging = self._raging + 1 if rages else 0
-        rests = speed <= self._still_speed and not moves and not status & _UNSETTLED
-        self._still = self._still + 1 if rests else 0
-        if self._raging * dt >= RAGING_TIME:
-            return Verdict.RESTORED
-        if self._still * dt < STILL_TIME:
-            return Verdict.GOES_ON
-        if status & _INVERTED and not touches:
-            return Verdict.RESTORED
-        self.asleep = self._sleeps
-        return Verdict.SLEEPS if self.asleep else Verdict.GOES_ON
+@stage
+def awake(guard: Guard, moves: bool) -> bool:
+    """One step; `moves`: whether bone or plane do. Whether it has to be computed."""
+    if moves:
+        guard.asleep[0] = 0.0
+    guard.slept[0] = guard.slept[0] + 1.0 if guard.asleep[0] != 0.0 else 0.0
+    return bool(guard.asleep[0] == 0.0)
+
+
+@stage
+def broken(guard: Guard, status: int, result: Floats, h: float) -> bool:
+    """Whether a body is beyond repair after a substep of h [s]. result: State.result; status: what it came to.
+
+    A free body's frame is that of the step before, so that it may be further from it by one step's way.
+    """
+    guard.rejections[0] = guard.rejections[0] + 1.0 if status & _REJECTED else 0.0
+    far = guard.torn[0] + (0.0 if guard.driven[0] != 0.0 else h * result[SPEED])
+    return bool(guard.rejections[0] >= MOST_REJECTIONS or result[REACH] > far)
+
+
+@stage
+def judge(guard: Guard, status: int, result: Floats, moves: bool, dt: float) -> int:
+    """What is to become of the body after a step of dt [s]. result: State.result of its last substep."""
+    speed, touches = result[SPEED], result[CONTACTS] > 0.0
+    rages = status & _STRAINED != 0 and not touches and speed > guard.raging_speed[0] and not moves
+    guard.raging[0] = guard.raging[0] + 1.0 if rages else 0.0
+    rests = speed <= guard.still_speed[0] and not moves and status & _UNSETTLED == 0
+    guard.still[0] = guard.still[0] + 1.0 if rests else 0.0
+    if guard.raging[0] * dt >= RAGING_TIME:
+        return RESTORED
+    if guard.still[0] * dt < STILL_TIME:
+        return GOES_ON
+    if status & _INVERTED and not touches:
+        return RESTORED
+    guard.asleep[0] = guard.sleeps[0]
+    return SLEEPS if guard.asleep[0] != 0.0 else GOES_ON

@@ -4,42 +4,64 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 
 from ..arrays import Floats, read_only
 from ..errors import SceneError
 from ..haptics.coupling import device_wrench, outside, set_down, spring_wrench
-from ..haptics.following import Follower
+from ..haptics.following import MODES, Follower
 from ..haptics.leading import KERNELS as DRIVE_KERNELS
+from ..haptics.path import numbers, pose_of
 from ..haptics.sending import KERNELS as SENDING_KERNELS
 from ..haptics.sending import load
-from ..physics import step as stepping
 from ..physics.clock import STAGES
 from ..physics.compile import compiling
-from ..physics.ready import KERNELS, advance, measure_strains, ready, refresh
+from ..physics.ready import KERNELS, measure_strains, ready, refresh
+from ..physics.records import direct, held
 from ..physics.rotations import matrix
-from ..physics.step import Status
 from ..physics.work import WORK
 from ..physics.workspace import build_state
 from ..scene import Pose, Scene, Solver, Vec3, checked_pose, place
 from ..scene.mesh import TetMesh
+from . import whole
 from .build import build_model, with_live_values
 from .drive import Drive, checked_time
+from .ground import KERNELS as GROUND_KERNELS
 from .ground import Ground, checked_target
-from .guard import Guard, Verdict
+from .guard import build_guard, wake
 from .result import STATUSES, StepResult, measured
 from .rigid import best_fit, carried, twist_of
 from .touch import Imprint
+from .whole import (
+    AFTER_PLANE,
+    ASLEEP,
+    FALLS_ASLEEP,
+    FIRST,
+    REJECTED,
+    SUNK,
+    TO_MEND,
+    Body,
+    build_body,
+)  # fmt: skip
+from .whole import KERNELS as STEP_KERNELS
 
 Tell = Callable[[str], None]
 """Takes short texts on what is going on."""
 
 _WHERE_PLANES_ARE = {"plane.point", "plane.normal"}
-_REJECTED, _RESTORED = int(Status.STEP_REJECTED), int(Status.RESTORED)
+
+
+class Compiled(NamedTuple):
+    """A body as compiled code steps it (whole.advance): the address of a substep, and records."""
+
+    address: int
+    model: Any
+    state: Any
+    body: Body
 
 
 class Simulator:
@@ -64,29 +86,37 @@ class Simulator:
         self._skin = self.mesh.points[self._model.contact_nodes]
         x, y, z = self._rest_driven.mean(axis=0).tolist() if self._driven else (0.0, 0.0, 0.0)
         self._centre: Vec3 = (x, y, z)
-        self._given = self._good = self.pose = scene.initial_pose
-        self._ground = Ground(scene.plane) if scene.plane is not None else None
-        self._guard = Guard(
+        self._given = self._good = scene.initial_pose
+        self._ground = Ground(scene.plane)
+        guard = build_guard(
             self._model.length, float(np.linalg.norm(self.mesh.points, axis=1).max()),
             driven=self._driven, sleeps=scene.solver.sleep,
         )  # fmt: skip
         self._asleep: StepResult | None = None  # what the body gave when it fell asleep
         self.set_down_by = 0.0
         """How far above its command the last reset put the body, as it would have been in the plane [m]."""
-        self._was_set_down = False
-        self._steps, self._timed, self._touch = 0, timed, touch
-        with compiling(tell, (*KERNELS, *DRIVE_KERNELS, *SENDING_KERNELS)):
+        self._touch = touch
+        with compiling(tell, (*KERNELS, *DRIVE_KERNELS, *GROUND_KERNELS, *STEP_KERNELS, *SENDING_KERNELS)):
             self._drive = Drive(
-                self.pose, self._rest_driven, self._centre if self._driven else None, self._yields, self._state.target
-            )
-            self._ready = ready(self._model, self._state)
+                scene.initial_pose, self._rest_driven, self._centre if self._driven else None, self._yields,
+                self._state.target, self._ground.table,
+            )  # fmt: skip
+            self._body = build_body(self._drive.lead, self._ground.table, guard, self._state.result)
+            self._held = held(self._body)
+            self._place(scene.initial_pose)
+            self._use(scene)
             # Every kernel that a run will call is compiled or loaded here.
             self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
-            advance(self._ready, self._rest_driven.copy(), scene.dt / scene.substeps)
+            self._run(math.nan, FIRST)
             measure_strains(self._ready)
             load()
         self.reset(scene.initial_pose)
         tell("ready")
+
+    @property
+    def pose(self) -> Pose:
+        """The simulated finger frame, world."""
+        return pose_of(self._body.pose)
 
     def hear(self, command: Pose, received: float) -> None:
         """A command for the next step that came at a time [s], as `step` takes it; for several, or late ones.
@@ -108,37 +138,38 @@ class Simulator:
         plane, now = checked_target(self._ground, plane), checked_time(now, "now")
         if command is not None:
             self._drive.hear(self._checked(command), None)
-        scene, drive, ground = self.scene, self._drive, self._ground
-        self._steps += 1
-        shifts = ground is not None and ground.advance(plane, scene.coupling, scene.dt)
-        if shifts:
-            self._set_down()
-        surface, part = ground.surface if ground else None, 1.0 / scene.substeps
-        moves = drive.advance(scene.coupling, surface, now, scene.dt, part) or shifts
-        slept = self._guard.slept
-        if not self._guard.advance(moves) and self._asleep is not None:
+        if plane is not None:
+            self._ground.aim(plane)
+        begins = math.nan if now is None else now
+        why = self._run(begins, FIRST)
+        while why in TO_MEND:
+            why = self._run(begins, self.mend(why))
+        if why == ASLEEP and self._asleep is not None:
             return self._asleep.later(self.time)
-        if slept:
-            self._state.held[0] += slept * scene.dt
-        self._state.moves[0] = moves
-        status, iterations, residual = int(Status.COMMAND_LIMITED) if drive.limited else 0, 0, 0.0
-        if self._was_set_down:
-            status |= _RESTORED
-            self._was_set_down = False
-        for substep in range(1, scene.substeps + 1):
-            result = self._substep(substep / scene.substeps, shifts)
-            status |= int(result[stepping.STATUS])
-            iterations += int(result[stepping.ITERATIONS])
-            residual = max(residual, result[stepping.RESIDUAL])
-        out = self._report(status, iterations, residual, result)
-        match self._guard.judge(status, result, moves, scene.dt):
-            case Verdict.SLEEPS:
-                self._asleep = out
-                self._state.v[:] = 0.0
-            case Verdict.RESTORED:
-                self._restore()
-                out = dataclasses.replace(out, status=out.status | Status.RESTORED)
+        out = self._report()
+        if why == FALLS_ASLEEP:
+            self._asleep = out
+            self._state.v[:] = 0.0
         return out
+
+    def _run(self, now: float, begin: int) -> int:
+        """See whole.advance."""
+        address, model, state, _ = self.compiled
+        why: int = self._advance(address, model, state, self._held, now, begin)
+        return why
+
+    def mend(self, why: int) -> int:
+        """What a compiled step (whole.py) returned for; where it is to go on."""
+        body = self._body
+        if why == SUNK:
+            self._set_down()
+            return AFTER_PLANE
+        if why == REJECTED:
+            self._move_rigidly(pose_of(body.before), self.pose, self.scene.dt / self.scene.substeps)
+        else:
+            self._restore()
+            body.restored[0] = 1
+        return int(body.done[0])
 
     def _checked(self, command: Pose) -> Pose:
         """A command with a unit quaternion. Raises SceneError; nothing has changed then."""
@@ -147,46 +178,23 @@ class Simulator:
             self._given = command
         return self._good
 
-    def _substep(self, part: float, shifts: bool) -> list[float]:
-        """Advance by the substep that ends after a part of the step; State.result, with RESTORED in its status."""
-        scene, state, drive = self.scene, self._state, self._drive
-        h = scene.dt / scene.substeps
-        before, wanted = self.pose, drive.at(part)
-        if shifts and self._ground is not None:
-            self._ground.write(state, part, moving=True)
-        if not self._yields:
-            if self._driven:
-                self.pose = wanted
-            origin = state.origin
-            origin[0], origin[1], origin[2] = self.pose.position
-        if self._timed:
-            state.laps[len(STAGES)] = time.perf_counter()  # the same clock as compiled code's
-        advance(self._ready, drive.targets, h)
-        result: list[float] = state.result.tolist()
-        status = int(result[stepping.STATUS])
-        if status & _REJECTED:
-            self._move_rigidly(before, self.pose, h)
-        elif self._yields:
-            x, y, z, *turn = state.bone[:7].tolist()
-            self.pose = Pose((x, y, z), tuple(turn))
-        if self._guard.broken(status, result, h):
-            self._restore()
-            result[stepping.STATUS] = status | _RESTORED
-        return result
-
-    def _report(self, status: int, iterations: int, residual: float, result: list[float]) -> StepResult:
-        """What a step gives, from State.result of its last substep and what all of them came to."""
-        state = self._state
+    def _report(self) -> StepResult:
+        """What a step gives."""
+        state, body = self._state, self._body
         wrench = state.wrench.copy()
         if not self._driven:
-            self.pose = best_fit(self.mesh.points, self.positions, self._model.mass)
+            self._place(best_fit(self.mesh.points, self.positions, self._model.mass))
             wrench[3:] += np.cross(state.origin - np.array(self.pose.position), wrench[:3])
         felt = spring_wrench(state.coupling, self.pose, self._drive.end) if self._yields else wrench
         return StepResult(
-            self.time, wrench, device_wrench(self.scene.coupling, felt), self.pose, iterations,
-            residual, STATUSES[status], *measured(result),
+            self.time, wrench, device_wrench(self.scene.coupling, felt), self.pose, int(body.iterations[0]),
+            float(body.residual[0]), STATUSES[body.status[0]], *measured(body.result.tolist()),
             touch=Imprint.of(self).touch() if self._touch else None,
         )  # fmt: skip
+
+    def _place(self, pose: Pose) -> None:
+        """The simulated finger frame is there."""
+        self._body.pose[:] = numbers(pose)
 
     def reset(self, pose: Pose | None = None, plane: Pose | None = None) -> None:
         """Back to rest at `pose` (default: the last command), at time 0.
@@ -199,15 +207,13 @@ class Simulator:
         """
         plane = checked_target(self._ground, plane)
         pose = self._drive.command if pose is None else self._checked(pose)
-        if self._ground is not None:
-            self._ground.arrive(plane)
+        self._ground.arrive(plane)
         there = outside(*self._ground.surface, self._skin, pose) if self._driven and self._ground else pose
         self.set_down_by = math.dist(there.position, pose.position)
         self._drive.rest(there, pose)
-        self.pose = there
-        self._steps = 0
+        self._place(there)
+        self._body.steps[0] = 0
         self._restore()
-        self._was_set_down = False
         self._state.laps[:] = 0.0
         self._state.work[:] = 0
 
@@ -232,9 +238,8 @@ class Simulator:
         state.coupling[:] = 0.0
         state.bone[:] = (*self.pose.position, *self.pose.orientation) * 2
         state.origin[:] = self.pose.position
-        if self._ground is not None:
-            self._ground.write(state)
-        self._guard.wake()
+        self._ground.write(state)
+        wake(self._body.guard)
         state.age[0] = state.held_tets[0] = state.newton.factors[0] = 0
         refresh(self._ready)
 
@@ -249,7 +254,7 @@ class Simulator:
             if key not in live:
                 raise SceneError(key, value, f"values that may change while running: {', '.join(sorted(live))}")
         self.scene = self.scene.with_values(values)
-        if self._ground is not None and self.scene.plane is not None and values.keys() & _WHERE_PLANES_ARE:
+        if self.scene.plane is not None and values.keys() & _WHERE_PLANES_ARE:
             self._ground.move(self.scene.plane)
         self._use(self.scene)
 
@@ -263,7 +268,7 @@ class Simulator:
     @property
     def time(self) -> float:
         """Simulated time since the last reset [s]."""
-        return self._steps * self.scene.dt
+        return float(self._body.steps[0] * self.scene.dt)
 
     @property
     def follower(self) -> Follower:
@@ -293,12 +298,12 @@ class Simulator:
     @property
     def plane_pose(self) -> Pose | None:
         """Where the plane is: the x-y plane of this pose, its z the outward normal, world; None without one."""
-        return None if self._ground is None else self._ground.frame
+        return self._ground.frame if self._ground else None
 
     @property
     def plane_twist(self) -> Floats:
         """(6,) velocity of that pose's origin [m/s] and angular velocity [rad/s], world; zeros without one."""
-        return np.zeros(6) if self._ground is None else self._ground.twist
+        return self._ground.twist
 
     @property
     def node_mass(self) -> Floats:
@@ -318,10 +323,19 @@ class Simulator:
 
     def _use(self, scene: Scene) -> None:
         """The live values of a scene."""
+        body, address = self._body, types.int64
         self._model = with_live_values(self._model, scene)
-        self._state.age[0] = 0
-        self._guard.wake()
         self._ready = ready(self._model, self._state)
+        self.compiled = Compiled(self._ready.address, self._ready.model, self._ready.state, self._body)
+        """What compiled code steps; another one after `apply` and `solve_with`."""
+        self._advance = direct(
+            whole.advance, address, self._ready.model, self._ready.state, self._held, types.float64, types.int64
+        )
+        body.dt[0], body.substeps[0], body.mode[0] = scene.dt, scene.substeps, MODES[scene.coupling.following]
+        self._drive.allow(scene.coupling)
+        self._ground.allow(scene.coupling)
+        self._state.age[0] = 0
+        wake(body.guard)
 
     def _move_rigidly(self, before: Pose, after: Pose, h: float) -> None:
         """After a rejected step: every node goes with the bone; a body whose bone yields, or that has none, stops."""
@@ -333,15 +347,15 @@ class Simulator:
 
     def _restore(self) -> None:
         """Undeformed and at rest where the bone is: what else is left to a body that is beyond repair (see Guard)."""
-        self._guard.restored()
+        self._body.guard.rejections[0] = 0.0
         positions = place(self.mesh.points, self.pose)
         self.set_state(positions, np.zeros_like(positions))
 
     def _set_down(self) -> None:
-        """A bone that yields and finds itself past the plane goes to rest on it; the next step's status says so."""
-        if self._yields and self._ground is not None:
-            there = set_down(*self._ground.surface, self._centre, self._skin, self.pose)
-            if there is not self.pose:
-                self.pose = there
-                self._restore()
-                self._was_set_down = True
+        """A bone that yields and finds itself past the plane goes to rest on it; the step's status says so."""
+        pose = self.pose
+        there = set_down(*self._ground.surface, self._centre, self._skin, pose)
+        if there is not pose:
+            self._place(there)
+            self._restore()
+            self._body.restored[0] = 1

@@ -68,7 +68,7 @@ def test_a_rung_that_is_too_dear_is_tried_ever_more_seldom() -> None:
     assert (apart[1:] > 1.5 * apart[:-1]).all()
     for _ in range(20 * MOST_PATIENCE):
         budget.spent(1.2e-3 if budget.rung == 0 else 0.3e-3)
-    assert budget._patience <= MOST_PATIENCE
+    assert budget.purse.patience[0] <= MOST_PATIENCE
 
 
 def test_patience_comes_back_after_a_calm_time() -> None:
@@ -77,11 +77,11 @@ def test_patience_comes_back_after_a_calm_time() -> None:
     fed(budget, 1.1e-3, WINDOW)
     fed(budget, 0.3e-3, PATIENCE)
     fed(budget, 1.1e-3, WINDOW)
-    assert budget._patience == 2 * PATIENCE
+    assert budget.purse.patience[0] == 2 * PATIENCE
     fed(budget, 0.3e-3, 2 * PATIENCE)
     assert budget.rung == 0
     fed(budget, 0.3e-3, 2 * PATIENCE)
-    assert budget._patience == PATIENCE
+    assert budget.purse.patience[0] == PATIENCE
 
 
 def test_rungs_never_ask_for_more_than_the_scene_and_each_changes_something() -> None:

@@ -66,7 +66,7 @@ def test_a_command_for_every_step_is_followed_at_once() -> None:
     commands = [(k * MS, hand(k * MS)) for k in range(200)]
     for following in ("auto", "hold", "linear"):
         for k, follower in enumerate(followed(commands, following, 0.2)):  # type: ignore[arg-type]
-            assert follower.pose is commands[k][1]
+            assert follower.pose == commands[k][1]
             assert follower.delay(following) == 0.0  # type: ignore[arg-type]
         assert follower.mode("auto") == "hold"
 
@@ -250,7 +250,7 @@ def test_a_start_inside_the_plane_is_no_blow(scene: str) -> None:
     forces = np.array([sim.step(deep).contact_wrench[:3] for _ in range(1000)])
     assert np.linalg.norm(forces[:2], axis=1).max() < 0.01
     assert largest_change(forces) < 0.06 * forces[-1, 2]
-    assert sim.follower.pose is deep
+    assert sim.follower.pose == deep
     sim.reset(pose((0.0, 0.0, 0.0080), FLAT))
     assert sim.set_down_by == 0.0
     for height in np.arange(0.0080, 0.0051, -2e-5):
@@ -356,7 +356,7 @@ def test_whatever_comes_the_bone_stays_between_the_commands_and_comes_to_rest() 
         for _ in range(round(3.0 / dt) if following == "predict" else round(1.5 / dt)):
             now += dt
             out = follower.advance(following, now, dt)  # type: ignore[arg-type]
-        assert out is heard[-1], (seed, following)
+        assert out == heard[-1], (seed, following)
 
 
 def test_more_commands_than_are_kept_are_followed_all_the_same() -> None:
@@ -385,4 +385,4 @@ def test_more_commands_than_are_kept_are_followed_all_the_same() -> None:
         follower.hear(last, 0.4)
     for k in range(400, 1000):
         out = follower.advance("linear", k * MS, MS)
-    assert out is last
+    assert out == last

@@ -15,8 +15,6 @@ from small_fingers import small
 
 from finger_sim import Pose, Scene, SceneError, Simulator, Status, StepResult
 from finger_sim.haptics.coupling import displacement, spring_wrench
-from finger_sim.scene import Coupling
-from finger_sim.simulation.drive import Drive
 
 BAD = Status.NONFINITE | Status.STEP_REJECTED | Status.RESTORED | Status.INVERTED
 LAID = Rotation.from_euler("x", 90, degrees=True)
@@ -313,21 +311,16 @@ def test_what_a_virtual_coupling_needs() -> None:
 
 def test_the_speed_of_commands_that_come_in_jumps() -> None:
     """500 Hz into 1 kHz, one of them a step late: steady all the same; then at rest."""
-    drive, held, seen = (
-        Drive(pose(), np.zeros((0, 3)), (0.0, 0.0, 0.0), True, np.zeros(13)),
-        Coupling(following="hold"),
-        [],
-    )
+    sim, seen = Simulator(coupled(coupling__following="hold")), []
+    sim.reset(pose((0, 0, CLEAR), LAID))
     for k in range(40):
-        if k != 20:
-            drive.hear(pose((0.001 * (k // 2), 0, 0)), None)
-        drive.advance(held, None, None, 0.001)
-        seen.append(drive.velocity[0])
+        sim.step(pose((0.001 * (k // 2), 0, CLEAR), LAID) if k != 20 else None)
+        seen.append(sim._state.target[7])
     assert seen[6:19] == pytest.approx([0.5] * 13)
     assert min(seen[19:]) > 0.3
     for _ in range(5):
-        drive.advance(held, None, None, 0.001)
-    assert not drive.velocity.any()
+        sim.step()
+    assert not sim._state.target[7:].any()
 
 
 def test_the_device_feels_the_bone_s_wrench_turned_round() -> None:

@@ -332,7 +332,8 @@ NORMALS = [*np.eye(3), *-np.eye(3), *np.random.default_rng(0).standard_normal((6
 def test_plane_frame_is_right_handed(normal: Array) -> None:
     """n, t₁, t₂ are orthonormal, right-handed, n is the normal."""
     n = normal / np.linalg.norm(normal)
-    frame = plane_frame(n)
+    frame = np.empty((3, 3))
+    plane_frame(n, frame)
     assert_allclose(frame @ frame.T, np.eye(3), rtol=0, atol=1e-14)
     assert np.linalg.det(frame) == pytest.approx(1.0)
     assert_allclose(frame[0], n, rtol=0, atol=1e-15)

@@ -155,7 +155,8 @@ def test_solves_lose_no_more_digits_than_stiffness_has(seed: int, stiff: float) 
 @given(normal=st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda n: math.hypot(*n) > 1e-6))
 def test_plane_frames_are_right_handed(normal: tuple[float, float, float]) -> None:
     """n, t₁, t₂ are orthonormal and right-handed for any normal."""
-    frame = plane_frame(np.array(normal) / math.hypot(*normal))
+    frame = np.empty((3, 3))
+    plane_frame(np.array(normal) / math.hypot(*normal), frame)
     assert_allclose(frame @ frame.T, np.eye(3), rtol=0, atol=1e-14)
     assert np.linalg.det(frame) == pytest.approx(1.0)
 

@@ -151,7 +151,7 @@ def copied(sim: Simulator, other: Simulator) -> None:
     for name in ("contact_force", "limit_force", "held_tets"):
         getattr(other._state, name)[:] = getattr(sim._state, name)
     other._state.tensor.bound[:], other._state.tensor.near[:] = sim._state.tensor.bound, sim._state.tensor.near
-    other.pose = sim.pose
+    other._place(sim.pose)
 
 
 @pytest.mark.parametrize("method", ["newton", "pgs"])
@@ -353,7 +353,7 @@ def test_nan_inside_a_step_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     sim = Simulator(block((2, 2, 1), limits=limits("tensor")))
     assert [sim.step(sliding(k)) for k in range(30)][-1].contacts > 0
     broken = sim._model._replace(gravity=np.array([np.nan, 0.0, 0.0]))
-    monkeypatch.setattr(sim, "_ready", ready(broken, sim._state))
+    monkeypatch.setattr(sim, "compiled", sim.compiled._replace(model=ready(broken, sim._state).model))
     out = sim.step()
     assert out.status & Status.NONFINITE
     assert out.status & Status.STEP_REJECTED

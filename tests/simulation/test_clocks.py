@@ -12,8 +12,6 @@ from scipy.spatial.transform import Rotation
 from small_fingers import small
 
 from finger_sim import Pose, Simulator
-from finger_sim.scene import Coupling
-from finger_sim.simulation.drive import Drive
 
 FLAT = Rotation.from_euler("x", 90, degrees=True)
 MS = 0.001
@@ -68,12 +66,11 @@ def test_a_command_after_a_long_rest_is_as_fast_asleep_as_awake() -> None:
 
 def test_the_speed_of_one_jump_ends() -> None:
     """After a long rest a jump counts as having taken a tenth of a second, and half as long again."""
-    drive, moving = Drive(pose(), np.zeros((0, 3)), (0.0, 0.0, 0.0), True, np.zeros(13)), []
+    sim, moving = Simulator(small("finger_coupled").with_values({"coupling.following": "hold"})), []
+    sim.reset(pose((0, 0, 0.05), FLAT))
     for k in range(1201):
-        if k == 1000:
-            drive.hear(pose((1e-3, 0, 0)), None)
-        drive.advance(Coupling(following="hold"), None, None, MS)
-        moving.append(drive.velocity[0])
+        sim.step(pose((1e-3, 0, 0.05), FLAT) if k == 1000 else None)
+        moving.append(sim._state.target[7])
     moving = moving[1000:]
     assert_allclose(moving[:150], 0.01, rtol=1e-9)
     assert moving[152:] == [0.0] * 49

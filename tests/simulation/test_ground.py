@@ -9,8 +9,6 @@ from scipy.spatial.transform import Rotation
 from small_fingers import small
 
 from finger_sim import Pose, SceneError, Simulator
-from finger_sim.scene import Coupling, Plane
-from finger_sim.simulation.ground import Ground
 
 LAID = Rotation.from_euler("x", 90, degrees=True)
 DOWN = 0.0058
@@ -24,6 +22,12 @@ def finger(**values: object) -> Simulator:
         sim.step(pose((0.0, 0.0, 0.02 + (DOWN - 0.02) * (k + 1) / 200), LAID))
     for _ in range(100):
         sim.step()
+    return sim
+
+
+def far_over_a_plane(**values: object) -> Simulator:
+    sim = Simulator(small("finger_haptic").with_values({k.replace("__", "."): v for k, v in values.items()}))
+    sim.reset(pose((0, 0, 5.0), LAID))
     return sim
 
 
@@ -121,29 +125,30 @@ def test_a_finger_asleep_wakes_when_the_plane_moves() -> None:
 
 def test_targets_that_come_seldom_give_an_even_motion() -> None:
     """A target every ten steps: reached in ten, at the speed that they were sent with; then it stops."""
-    motion, coupling, heights, speeds = Ground(Plane()), Coupling(), [], []
+    sim, heights, speeds = far_over_a_plane(), [], []
     for k in range(100):
-        motion.advance(pose((0, 0, 1e-3 * k)) if k % 10 == 0 else None, coupling, 0.001)
-        assert motion.pose is not None
-        heights.append(motion.pose.position[2])
-        speeds.append(motion.twist[2])
+        sim.step(None, pose((0, 0, 1e-3 * k)) if k % 10 == 0 else None)
+        assert sim.plane_pose is not None
+        heights.append(sim.plane_pose.position[2])
+        speeds.append(sim.plane_twist[2])
     assert speeds[12:] == pytest.approx([1.0] * 88)
     assert np.diff(heights[12:]) == pytest.approx(1e-3)
     for _ in range(20):
-        motion.advance(None, coupling, 0.001)
-    assert motion.pose.position[2] == pytest.approx(0.09)
-    assert not motion.twist.any()
-    assert not motion.advance(None, coupling, 0.001)
+        sim.step()
+    assert sim.plane_pose is not None
+    assert sim.plane_pose.position[2] == pytest.approx(0.09)
+    assert not sim.plane_twist.any()
 
 
 def test_it_moves_no_faster_than_the_coupling_allows() -> None:
-    motion, coupling = Ground(Plane()), Coupling(max_speed=0.5, max_angular_speed=3.0)
-    motion.advance(pose(), coupling, 0.001)
-    motion.advance(pose((1.0, 0, 0), Rotation.from_rotvec([2.0, 0, 0])), coupling, 0.001)
+    sim = far_over_a_plane(coupling__max_speed=0.5, coupling__max_angular_speed=3.0)
+    sim.step(None, pose())
+    sim.step(None, pose((1.0, 0, 0), Rotation.from_rotvec([2.0, 0, 0])))
     for _ in range(50):
-        motion.advance(None, coupling, 0.001)
-        assert np.linalg.norm(motion.twist[:3]) <= 0.5 + 1e-9
-        assert np.linalg.norm(motion.twist[3:]) <= 3.0 + 1e-9
+        sim.step()
+        assert np.linalg.norm(sim.plane_twist[:3]) <= 0.5 + 1e-9
+        assert np.linalg.norm(sim.plane_twist[3:]) <= 3.0 + 1e-9
+        assert np.linalg.norm(sim.plane_twist) > 0.4
 
 
 def test_a_plane_set_anew_rests_there() -> None:

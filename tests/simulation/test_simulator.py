@@ -370,8 +370,8 @@ def test_nonfinite_forces_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     run(sim, 5)
     model = sim._model
     broken = model._replace(gravity=np.array([np.nan, 0.0, 0.0]))
-    well = sim._ready
-    monkeypatch.setattr(sim, "_ready", ready(broken, sim._state))
+    well = sim.compiled
+    monkeypatch.setattr(sim, "compiled", well._replace(model=ready(broken, sim._state).model))
     before = sim.positions.copy()
     command = pose((0.0, 1e-5, 0.0), Rotation.from_rotvec([0, 0, 1e-3]))
     out = sim.step(command)
@@ -380,7 +380,7 @@ def test_nonfinite_forces_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     turn = Rotation.from_quat(command.orientation)
     assert_allclose(sim.positions, turn.apply(before) + command.position, rtol=0, atol=1e-12)
     assert (out.contact_wrench == 0.0).all()
-    monkeypatch.setattr(sim, "_ready", well)
+    monkeypatch.setattr(sim, "compiled", well)
     out = sim.step()
     assert healthy(out)
 
