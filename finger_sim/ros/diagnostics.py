@@ -10,11 +10,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from ..haptics.budget import claimed
 from ..haptics.passivity import stable_stiffness
 from ..simulation.touch import Imprint
+from .accounts import DOUBTFUL, Window
 from .graph_watch import GraphWatch
 from .inbox import Inbox
 from .loop import Loop, StepCounts
 from .outputs import Outputs
-from .stepper import DOUBTFUL, Stepper, Window
+from .stepper import Stepper
 
 STALL = 0.5
 """Time without a step after which the loop counts as stalled [s]."""
@@ -63,7 +64,7 @@ class Reporter:
         before = self._before or StepCounts(0, 0, 0, progress.begin, progress.begin)
         wall = max(now - (self._reported or progress.begin), 1e-9)
         self._before, self._reported = progress, now
-        window, self._stepper.window = self._stepper.window, Window()
+        window, imprint = self._between_steps()
         steps = progress.steps - before.steps
         factor = steps * period / wall
         overall = progress.steps * period / max(now - progress.begin, 1e-9)
@@ -109,7 +110,8 @@ class Reporter:
                 "passivity factor": f"{port.factor:.3f}",
             }
         )
-        self._touch(values)
+        if imprint is not None:
+            self._touch(values, imprint)
         self._rung(values, problems)
         free = options.mode == "free"
         newest = self._stepper.newest
@@ -125,17 +127,22 @@ class Reporter:
         if window.doubtful:
             problems.append((1, f"{(window.status & DOUBTFUL).name} in {window.doubtful} of {window.steps} steps"))
 
-    def _touch(self, values: dict[str, str]) -> None:
-        """How the finger touches the plane right now; nothing of it while the loop is stalled.
+    def _between_steps(self) -> tuple[Window, Imprint | None]:
+        """The steps since the last report, and what tells how the finger touches the plane; little of a stalled loop.
 
-        The loop copies what tells of it between two steps; the rest is done here.
+        The loop copies it between two steps; the rest is done here.
         """
-        answer = self._loop.call(lambda: Imprint.of(self._stepper.sim))
+        answer = self._loop.call(lambda: (self._stepper.take_window(), Imprint.of(self._stepper.sim)))
         try:
-            touch = answer.result(STALL).touch()
+            copied: tuple[Window, Imprint | None] = answer.result(STALL)
         except (TimeoutError, CancelledError):
             answer.cancel()
-            return
+            return Window(), None
+        return copied
+
+    def _touch(self, values: dict[str, str], imprint: Imprint) -> None:
+        """How the finger touches the plane right now."""
+        touch = imprint.touch()
         centre = touch.centre
         values["contact area [mm^2]"] = f"{touch.area * 1e6:.3f}"
         values["centre of pressure [mm]"] = " ".join(f"{x * 1e3:.3f}" for x in centre) if centre else "none"

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -19,6 +20,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from ..bags.poses import check_pose, read_pose
 from ..bags.reader import Qos
 from ..scene import Pose
+from .accounts import MOST_TRANSPORT
 from .outputs import Outputs, ros_qos
 from .rclpy_private import Waiter, take
 from .recorder import RecordedTopic
@@ -31,9 +33,6 @@ followed whatever the depth; a recording holds those too that came while the nod
 triggered: each command is to be answered, so none may be lost.
 """
 PLANE_QOS = Qos(depth=10, reliable=False)
-
-MOST_TRANSPORT = 1.0
-"""A command whose stamp is older than this, or younger than its receipt, was stamped by another clock [s]."""
 
 
 class Command(NamedTuple):
@@ -57,13 +56,17 @@ class Inbox:
     """The subscriptions of the loop.
 
     wait     : for a command, or for `wake`; see `Waiter`
-    received : commands that came, good or not
+    received : commands that came here, good or not
+    also     : (1,) those that compiled code took beside them
+    early    : held by who takes what comes before the loop is ready, until it is where the loop finds it
     refused  : commands and plane poses of no use
     reason   : why the last of them was refused
     """
 
     def __init__(self, node: Any, outputs: Outputs, has_plane: Callable[[], bool]) -> None:
         self.received = self.refused = 0
+        self.also = np.zeros(1, np.int64)
+        self.early = threading.Lock()
         self.reason = ""
         self._outputs, self._has_plane = outputs, has_plane
         self._clock, self._log = node.get_clock(), node.get_logger()
@@ -80,6 +83,11 @@ class Inbox:
         """What no executor is to wait for."""
         return (self._commands.entity, self._plane.entity)
 
+    @property
+    def topics(self) -> tuple[str, str]:
+        """Their names: commands, poses of the plane."""
+        return (self._commands.name, self._plane.name)
+
     def recorded_topics(self) -> list[RecordedTopic]:
         """Topics that are recorded as they come."""
         kind = "geometry_msgs/msg/PoseStamped"
@@ -91,7 +99,7 @@ class Inbox:
     def counts(self) -> tuple[int, int, str]:
         """`received`, `refused` and `reason` of one moment."""
         with self._lock:
-            return self.received, self.refused, self.reason
+            return self.received + int(self.also[0]), self.refused, self.reason
 
     def commands(self, now: int | None = None) -> list[Command]:
         """The good ones that came since the last look, in their order; others are counted, the first is logged.
@@ -103,16 +111,27 @@ class Inbox:
             if not taken:
                 return []
             self.received += len(taken)
-            present, clock = time.monotonic_ns(), self._clock.now().nanoseconds
-            good = []
-            for data, received in taken:
-                accepted = self._accepted(data, "command")
-                if accepted is not None:
-                    pose, stamp = accepted
-                    transport = 1e-9 * (clock - stamp - (present - received))
-                    known = 0.0 <= transport <= MOST_TRANSPORT
-                    good.append(Command(pose, received, transport if known else 0.0, stamp))
-            return good
+            commands = [self._command(data, received) for data, received in taken]
+            return [command for command in commands if command is not None]
+
+    def judge(self, data: bytes, received: int) -> Command | None:
+        """The command in a message that was taken and counted elsewhere; None where it is of no use."""
+        with self._lock:
+            return self._command(data, received)
+
+    def judge_plane(self, data: bytes) -> Pose | None:
+        """The same of a pose of the plane."""
+        with self._lock:
+            accepted = self._accepted(data, "plane_pose")
+            return None if accepted is None else accepted[0]
+
+    def _command(self, data: bytes, received: int) -> Command | None:
+        accepted = self._accepted(data, "command")
+        if accepted is None:
+            return None
+        pose, stamp = accepted
+        transport = 1e-9 * (self._clock.now().nanoseconds - stamp - (time.monotonic_ns() - received))
+        return Command(pose, received, transport if 0.0 <= transport <= MOST_TRANSPORT else 0.0, stamp)
 
     def plane(self, now: int | None = None) -> Pose | None:
         """The newest good pose of the plane that came since the last look; `now` as for commands."""

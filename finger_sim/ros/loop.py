@@ -26,33 +26,12 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
-import numpy as np
-
-from ..arrays import Floats
 from ..plain import printing
+from .accounts import Recent
 
-KEPT = 4096
-"""Steps whose times are kept for percentiles: the last 4 s at 1 kHz, so that a report tells of the present."""
 IDLE_PERIOD = 0.01
 """How often a triggered loop looks at the time while nothing triggers it [s]."""
 _PR_SET_TIMERSLACK = 29  # of prctl(2)
-
-
-class Recent:
-    """The last KEPT numbers, for percentiles; written by one thread, read by any."""
-
-    def __init__(self) -> None:
-        self._values: Floats = np.zeros(KEPT)
-        self._count = 0
-
-    def add(self, value: float) -> None:
-        self._values[self._count % KEPT] = value
-        self._count += 1
-
-    def percentiles(self, *wanted: float) -> tuple[float, ...]:
-        """The wanted percentiles [0, 100] of what is kept; zeros when nothing is."""
-        kept = self._values[: min(self._count, KEPT)]
-        return tuple(float(p) for p in np.percentile(kept, wanted)) if len(kept) else (0.0,) * len(wanted)
 
 
 class StepCounts(NamedTuple):
@@ -100,8 +79,8 @@ class Loop:
 
     def __init__(self, prepare: Callable[[], object]) -> None:
         self.error: Exception | None = None
-        self.step_time = Recent()
-        self.lateness = Recent()
+        self.step_time = Recent.none()
+        self.lateness = Recent.none()
         self._prepare = prepare
         self._wake: Callable[[], None] = lambda: None
         self._calls: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
@@ -180,8 +159,8 @@ class RateLoop(Loop):
         self._tick = tick
 
     def _turn(self, origin: float) -> None:
-        period = self.period
-        k = steps = late = overruns = 0
+        period, k = self.period, 0
+        steps, late, overruns, begun, _ = self._progress
         while not self._stop.is_set():
             deadline = origin + k * period
             ahead = deadline - time.monotonic()
@@ -199,7 +178,7 @@ class RateLoop(Loop):
             k = following
             self.step_time.add(end - begin)
             self.lateness.add(begin - deadline)
-            self._progress = StepCounts(steps, late, overruns, origin, end)
+            self._progress = StepCounts(steps, late, overruns, begun, end)
 
 
 class Waiting(Protocol):

@@ -44,14 +44,16 @@ from .diagnostics import Reporter
 from .given import unreached
 from .graph_watch import GraphWatch
 from .inbox import Command, Inbox
-from .loop import Loop, RateLoop, StepCounts, TriggeredLoop, prefer_this_thread
+from .loop import Loop, StepCounts, TriggeredLoop, prefer_this_thread
 from .messages import time_of
 from .options import NodeOptions
-from .outputs import Outputs
+from .outputs import Outputs, Shown
 from .process import flush, logged, process_age, set_up
 from .recorder import RecordedTopic, Recorder
 from .rosout import Rosout
+from .scenery import Scenery
 from .stepper import Stepper
+from .ticker import Ticker
 
 ANSWER_TIMEOUT = 2.0
 """How long a service waits for the loop [s]."""
@@ -101,7 +103,8 @@ class FingerNode(Node):  # type: ignore[misc]
         self._early: deque[Command] = deque(maxlen=WAITING_COMMANDS)
         self._loop: Loop
         if options.mode == "free":
-            self._loop = RateLoop(scene.dt, self._prepare, self._tick)
+            parts = (self._stepper, self._outputs, self._inbox)
+            self._loop = Ticker(scene.dt, self._prepare, self._tick, parts, self.get_clock(), log)
         else:
             self._loop = TriggeredLoop(
                 self._prepare,
@@ -114,6 +117,7 @@ class FingerNode(Node):  # type: ignore[misc]
             )
         self.add_on_set_parameters_callback(self._on_set)
         graph = GraphWatch(self, self._inbox.subscriptions)
+        self._scenery = Scenery(self._outputs, self._show)
         self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._inbox, graph)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
@@ -126,10 +130,12 @@ class FingerNode(Node):  # type: ignore[misc]
         executor = EventsExecutor()
         executor.add_node(self)
         self._loop.start()
+        self._scenery.start()
         due = time.monotonic() + REPORT_PERIOD
         while not stop.is_set() and rclpy.ok() and self._loop.error is None:
-            if not self._loop.ready:
-                self._early.extend(self._take())
+            with self._inbox.early:
+                if not self._loop.ready:
+                    self._early.extend(self._take())
             self._serve(executor, min(0.1, max(0.0, due - time.monotonic())))
             self._rosout.record()
             if time.monotonic() >= due:
@@ -149,6 +155,7 @@ class FingerNode(Node):  # type: ignore[misc]
             self.get_logger().error(f"a message or request cannot be taken: {text}", throttle_duration_sec=10.0)
 
     def _close(self) -> int:
+        self._scenery.stop()
         stopped = self._loop.stop(timeout=0.5 if self._loop.ready else 0.1)
         recorder = self._outputs.recorder
         if recorder is not None and recorder.active:
@@ -161,11 +168,15 @@ class FingerNode(Node):  # type: ignore[misc]
             # A compiler or a step that does not come back cannot be unwound: leave it where it is.
             flush()
             os._exit(int(error is not None))
+        if isinstance(self._loop, Ticker):
+            self._loop.release()
         return int(error is not None)
 
     def _prepare(self) -> None:
         """The loop thread's way to its first step."""
         self._stepper.prepare(self._on_progress)
+        if isinstance(self._loop, Ticker):
+            self._loop.load(self._on_progress)
         if self._outputs.options.record:
             self._record(bag_path("record", self._outputs.options.record))
         priority = self._place_this_thread(self._outputs.options.realtime_priority)
@@ -206,6 +217,15 @@ class FingerNode(Node):  # type: ignore[misc]
         for subscription in super().subscriptions:
             if subscription not in (*self._inbox.subscriptions, self._rosout.entity):
                 yield subscription
+
+    def _show(self, whole: bool) -> Future[Shown | None]:
+        """A body between two steps, for viewers."""
+
+        def shown() -> Shown | None:
+            moment, sim = self._stepper.moment, self._stepper.sim
+            return None if moment is None or sim.time == 0.0 else Shown.of(sim, *moment, whole)
+
+        return self._loop.call(shown)
 
     def _tick(self) -> None:
         """A step of mode free."""
@@ -302,6 +322,7 @@ class FingerNode(Node):  # type: ignore[misc]
             recorder = Recorder(path, topics, options.record_queue, self._standby.pipe(), bag, failed)
             self._recorded_from = self._loop.progress
             self._outputs.start_recording(recorder, sim.plane_pose, time_of(self.get_clock()))
+        self._loop.call(lambda: None)  # from now on the loop records
         self.get_logger().info(f"recording {recorder.path}")
         return recorder
 

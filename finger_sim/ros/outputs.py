@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -23,7 +23,7 @@ from ..bags.changes import EVENTS, EVENTS_QOS
 from ..bags.frames import MOVING, MOVING_QOS, PLANE, STANDING, STANDING_QOS, Frames
 from ..bags.layout import express_wrench, node_strain, pack_points, wrench_frame_id
 from ..bags.reader import Qos
-from ..bags.template import doubles
+from ..bags.template import Template, doubles
 from ..scene import Pose, place
 from ..scene.mesh import TetMesh
 from ..simulation.result import StepResult
@@ -31,9 +31,6 @@ from ..simulation.simulator import Simulator
 from . import messages
 from .options import NodeOptions
 from .recorder import RecordedTopic, Recorder
-
-TF_PERIOD = 0.01
-"""Time between two messages on /tf [s]: recorded, and broadcast where tf2_ros is installed."""
 
 _TYPES: dict[str, tuple[Any, Qos]] = {
     "mesh_topology": (Mesh, Qos(depth=1, transient_local=True)),
@@ -47,6 +44,8 @@ _TYPES: dict[str, tuple[Any, Qos]] = {
 """Topic, type and offered quality of service, recorded in this order. mesh_marker is not recorded: it holds
 nothing that mesh_points does not."""
 
+STEPPED = ("device_wrench", "contact_wrench", "pose")
+"""Topics with a message for each step, in their order."""
 _RECORDED = (
     RecordedTopic(STANDING, cdr.TF_MESSAGE, STANDING_QOS),
     RecordedTopic(MOVING, cdr.TF_MESSAGE, MOVING_QOS),
@@ -62,6 +61,25 @@ def ros_qos(qos: Qos) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if qos.reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.transient_local else DurabilityPolicy.VOLATILE,
     )
+
+
+class Shown(NamedTuple):
+    """A body at the end of a step, which no later step changes."""
+
+    pose: Pose
+    plane: Pose | None
+    stamp: int  # of the step [ns]
+    at: int  # steady time at which the step began [ns]
+    positions: Floats  # of the nodes (n, 3) [m], world
+    forces: Floats  # of the plane on each node (n, 3) [N], world
+    strain: Floats  # strain/limit of each tetrahedron (T,)
+
+    @classmethod
+    def of(cls, sim: Simulator, stamp: int, at: int, whole: bool) -> Shown:
+        """To be called between two steps. whole: with the mesh, else arrays are empty."""
+        arrays = (sim.positions, sim.contact_forces, sim.strain_ratio) if whole else (np.zeros(0),) * 3
+        positions, forces, strain = (array.copy() for array in arrays)
+        return cls(sim.pose, sim.plane_pose, stamp, at, positions, forces, strain)
 
 
 class Outputs:
@@ -86,12 +104,12 @@ class Outputs:
         )
         self._device = messages.wrench_template(f"{options.finger_frame}_world_aligned")
         self._pose = messages.pose_template(options.world_frame)
-        self._mesh_due = self._marker_due = self._tf_due = 0.0
         self._frames = Frames(options.world_frame, options.finger_frame)
         self._broadcast = _Broadcast(node, options) if _Broadcast.available() else None
 
     def prepare(self, mesh: TetMesh) -> None:
         """Makes room for the messages of a mesh and sends its topology."""
+        self._mesh = mesh
         self._cloud = messages.cloud_template(self.options.world_frame, len(mesh.points))
         self._corners = mesh.surface.ravel()
         self._marker = messages.marker_template(self.options.world_frame, len(self._corners))
@@ -109,6 +127,16 @@ class Outputs:
             if name != "mesh_marker"
         ]
         return [*sent, *_RECORDED]
+
+    def stepped(self) -> list[tuple[Any, Template]]:
+        """Publisher and message of all that each step sends."""
+        sent = (self._device, self._wrench, self._pose)
+        return [(self._publishers[name], template) for name, template in zip(STEPPED, sent, strict=True)]
+
+    @property
+    def stepped_topics(self) -> list[str]:
+        """Their names."""
+        return [self._names[name] for name in STEPPED]
 
     def start_recording(self, recorder: Recorder, plane: Pose | None, stamp: int) -> None:
         """Records from now on, beginning with what late listeners get too: the topology, and where the plane is.
@@ -141,9 +169,7 @@ class Outputs:
         """Sends what a device is to render (6,) [N, N m]; `stamp` is its time, `at` the steady one [ns]."""
         self.send("device_wrench", self._device.fill(stamp, doubles(wrench)), at)
 
-    def step(
-        self, sim: Simulator, out: StepResult, device_wrench: Floats, stamp: int, options: NodeOptions, at: int
-    ) -> None:
+    def step(self, out: StepResult, device_wrench: Floats, stamp: int, options: NodeOptions, at: int) -> None:
         """Sends what a step brought: `stamp` is its time [ns], `options` are those of that step.
 
         at: steady time at which it began [ns], the log time of all that it brought: a replay can make the same steps.
@@ -153,39 +179,45 @@ class Outputs:
         self.send("contact_wrench", self._wrench.fill(stamp, doubles(wrench)), at)
         pose = doubles((*out.pose.position, *out.pose.orientation))
         self.send("pose", self._pose.fill(stamp, pose), at)
-        now = time.monotonic()
-        if options.mesh_rate > 0.0 and now >= self._mesh_due:
-            self._mesh_due = _next_due(self._mesh_due, now, 1.0 / options.mesh_rate)
-            if self.heard("mesh_points") or (self.recorder is not None and self.recorder.active):
-                self.send("mesh_points", self._mesh_points(sim, out.pose, stamp), at)
-                self.mesh_messages += 1
-        if options.marker_rate > 0.0 and now >= self._marker_due:
-            self._marker_due = _next_due(self._marker_due, now, 1.0 / options.marker_rate)
-            if self.heard("mesh_marker"):
-                self.send("mesh_marker", self._mesh_marker(sim, stamp, options))
-        if now >= self._tf_due:
-            self._tf_due = _next_due(self._tf_due, now, TF_PERIOD)
-            if self.recorder is not None and self.recorder.active:
-                self.record(MOVING, self._frames.moving(stamp, out.pose, sim.plane_pose))
-            if self._broadcast is not None:
-                self._broadcast.send(out.pose, sim.plane_pose, stamp)
+
+    @property
+    def recording(self) -> bool:
+        """Whether messages are recorded."""
+        return self.recorder is not None and self.recorder.active
+
+    @property
+    def broadcasts(self) -> bool:
+        """Whether frames are broadcast."""
+        return self._broadcast is not None
 
     def heard(self, topic: str) -> bool:
         """Whether anybody subscribes to a topic."""
         return bool(self._publishers[topic].get_subscription_count() > 0)
 
-    def _mesh_points(self, sim: Simulator, pose: Pose, stamp: int) -> bytes:
-        strain = node_strain(sim.strain_ratio, sim.mesh.tets, len(sim.mesh.points))
-        points = pack_points(sim.positions, place(sim.mesh.points, pose), sim.contact_forces, strain)
-        return self._cloud.fill(stamp, points.tobytes())
+    def mesh(self, shown: Shown) -> None:
+        """Sends the deformed mesh."""
+        strain = node_strain(shown.strain, self._mesh.tets, len(self._mesh.points))
+        points = pack_points(shown.positions, place(self._mesh.points, shown.pose), shown.forces, strain)
+        self.send("mesh_points", self._cloud.fill(shown.stamp, points.tobytes()), shown.at)
+        self.mesh_messages += 1
 
-    def _mesh_marker(self, sim: Simulator, stamp: int, options: NodeOptions) -> bytes:
-        if options.marker_color == "strain":
-            values = node_strain(sim.strain_ratio, sim.mesh.tets, len(sim.mesh.points))
+    def marker(self, shown: Shown) -> None:
+        """Sends the surface, coloured."""
+        if self.options.marker_color == "strain":
+            values = node_strain(shown.strain, self._mesh.tets, len(self._mesh.points))
         else:
-            values = np.linalg.norm(sim.contact_forces, axis=1) / self._areas / options.marker_pressure
+            values = np.linalg.norm(shown.forces, axis=1) / self._areas / self.options.marker_pressure
         colors = messages.ramp_colors(values)[self._corners]
-        return self._marker.fill(stamp, doubles(sim.positions[self._corners]), colors.tobytes())
+        self.send(
+            "mesh_marker", self._marker.fill(shown.stamp, doubles(shown.positions[self._corners]), colors.tobytes())
+        )
+
+    def frames(self, shown: Shown) -> None:
+        """Records where finger and plane are, and broadcasts it."""
+        if self.recording:
+            self.record(MOVING, self._frames.moving(shown.stamp, shown.pose, shown.plane))
+        if self._broadcast is not None:
+            self._broadcast.send(shown.pose, shown.plane, shown.stamp)
 
 
 class _Broadcast:
@@ -225,8 +257,3 @@ def ros_type(kind: Any) -> str:
     """Name of a message class, such as geometry_msgs/msg/PoseStamped."""
     package, _, _ = kind.__module__.partition(".")
     return f"{package}/msg/{kind.__name__}"
-
-
-def _next_due(due: float, now: float, period: float) -> float:
-    """The next time on the grid of `due`, or one period from now when that has passed too."""
-    return due + period if due + period > now else now + period

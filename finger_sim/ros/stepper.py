@@ -2,89 +2,54 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..arrays import Floats
 from ..haptics.budget import Budget, Rung, usable
 from ..haptics.rendering import NO_WRENCH
 from ..haptics.sending import BACK, BECAME_STALE, Sender
-from ..physics.step import Status
 from ..scene import Pose, Scene
-from ..simulation.result import StepResult
 from ..simulation.simulator import Simulator
+from .accounts import Recent, Window
 from .inbox import Command
-from .loop import Recent
 from .messages import time_of
 from .options import NodeOptions
 from .outputs import Outputs
 
-DOUBTFUL = ~Status.LOCKED
-"""Status of a step that did not do what was asked. LOCKED alone is how limits of a scene hold tissue that keeps its
-volume: the solver converged, the limits are met. Where they are not, ITERATION_LIMIT or LIMIT_EXCEEDED say so."""
 
+class Observed(NamedTuple):
+    """What a loop in compiled code is asked: see Stepper."""
 
-@dataclasses.dataclass
-class Window:
-    """The worst of the steps since the last report."""
-
-    steps: int = 0
-    iterations: int = 0
-    residual: float = 0.0
-    limit_rows: int = 0
-    limited_tets: int = 0
-    locked_tets: int = 0
-    contacts: int = 0
-    asleep: int = 0
-    max_strain_ratio: float = 0.0
-    max_penetration: float = 0.0
-    status: Status = Status.OK
-    troubled: int = 0
-    """Steps with a status bit set."""
-    doubtful: int = 0
-    """Steps with one of DOUBTFUL set."""
-
-    def add(self, out: StepResult) -> None:
-        self.steps += 1
-        self.iterations = max(self.iterations, out.iterations)
-        self.residual = max(self.residual, out.residual)
-        self.limit_rows = max(self.limit_rows, out.limit_rows)
-        self.limited_tets = max(self.limited_tets, out.limited_tets)
-        self.locked_tets = max(self.locked_tets, out.locked_tets)
-        self.contacts = max(self.contacts, out.contacts)
-        self.asleep += out.asleep
-        self.max_strain_ratio = max(self.max_strain_ratio, out.max_strain_ratio)
-        self.max_penetration = max(self.max_penetration, out.max_penetration)
-        if out.status:
-            self.status |= out.status
-            self.troubled += 1
-            self.doubtful += bool(out.status & DOUBTFUL)
+    newest: Callable[[], Command | None]
+    moment: Callable[[], tuple[int, int] | None]
+    take_window: Callable[[], Window]
 
 
 class Stepper:
-    """Owns the simulation; everything but `newest`, `plane`, `window` and what is read belongs to the loop's thread.
+    """Owns the simulation; everything but `newest`, `plane` and what is read belongs to the loop's thread.
 
     newest : the command to follow; whoever receives one puts it here
     plane  : the pose that the plane is to take; whoever receives one puts it here
-    window : the steps since whoever reports put a new one here
     delay  : times from the receipt of a command to the wrench of its step [s]
     transport : times from the stamp of a command to its receipt [s]
-    rendering, port : of the wrench for the device; see Sender
+    sender : of the wrench for the device
     """
 
     def __init__(self, scene: Scene, outputs: Outputs, clock: Any, log: Any) -> None:
         self.scene = scene
-        self.newest: Command | None = None
+        self._newest: Command | None = None
         self.plane: Pose | None = None
-        self.window = Window()
-        self.delay = Recent()
-        self.transport = Recent()
-        self._sender = Sender(scene.dt)
-        self.rendering, self.port = self._sender.rendering, self._sender.port
+        self.delay = Recent.none()
+        self.transport = Recent.none()
+        self.sender = Sender(scene.dt)
+        self.rendering, self.port = self.sender.rendering, self.sender.port
         self.budget: Budget | None = None
         self.rungs: tuple[Rung, ...] = ()
+        self._moment: tuple[int, int] | None = None
+        self._compiled: Observed | None = None
+        self._window = Window()
         self._outputs, self._clock, self._log = outputs, clock, log
         self._followed: Command | None = None
         self._shifted: Pose | None = None
@@ -97,6 +62,23 @@ class Stepper:
             self._log.warning(f"{self.scene.mesh.file}: {note}")
         self._take_budget()
         self._outputs.prepare(self.sim.mesh)
+
+    @property
+    def newest(self) -> Command | None:
+        return self._newest if self._compiled is None else self._compiled.newest()
+
+    @newest.setter
+    def newest(self, command: Command) -> None:
+        self._newest = command
+
+    @property
+    def moment(self) -> tuple[int, int] | None:
+        """Stamp of the last step, and the steady time at which it began [ns]; None before the first."""
+        return self._moment if self._compiled is None else self._compiled.moment()
+
+    def observe(self, compiled: Observed | None) -> None:
+        """Compiled code makes the steps from now on, and knows of them; None: it does not any more."""
+        self._compiled = compiled
 
     def tick(self, now: int, commands: Sequence[Command]) -> None:
         """One step of scene.dt that begins at a steady time [ns], after commands that came since the last one.
@@ -133,13 +115,17 @@ class Stepper:
             return True
         self._zero = first.received_ns
         self._shifted = self.plane
-        self.sim.reset(first.pose, self.plane)
+        self.place(first.pose, self.plane)
+        return False
+
+    def place(self, pose: Pose, plane: Pose | None) -> None:
+        """The first command ever, and where the plane is wanted by then."""
+        self.sim.reset(pose, plane)
         if self.sim.set_down_by > 0.0:
             self._log.info(
                 f"the first command is {1e3 * self.sim.set_down_by:.2f} mm inside the plane: the finger is put on the "
                 "plane above it, and goes there in a tenth of a second"
             )
-        return False
 
     def _step(self, command: Pose | None, newest: Command | None, now: int, stamp: int) -> None:
         """A step, and what it brought. command: of a step that answers it; else what was heard is followed by time."""
@@ -148,31 +134,53 @@ class Stepper:
         self._shifted = self.plane
         out = self.sim.step(command, plane, now=None if command else 1e-9 * (now - self._zero))
         if self.budget is not None and self.budget.spent(time.perf_counter() - begin):
-            self.sim.solve_with(self.rungs[self.budget.rung].solver)
+            self.take_rung()
         device = NO_WRENCH if newest is None else self._send(out.device_wrench, newest, now, options)
-        self._outputs.step(self.sim, out, device, stamp, options, now)
+        self._outputs.step(out, device, stamp, options, now)
+        self._moment = (stamp, now)
         if newest is not None and newest is not self._followed:
             self._followed = newest
             self.delay.add(time.monotonic() - newest.received)
             self.transport.add(newest.transport)
-        self.window.add(out)
+        self._window.add(out)
 
     def _send(self, wrench: Floats, command: Command, now: int, options: NodeOptions) -> Floats:
         """What the device is sent of a step that began at a steady time [ns]; tells when commands stop or are back."""
-        rendering = self.rendering
-        rendering.scale, rendering.ramp = options.force_scale, options.force_ramp
-        rendering.timeout = options.command_timeout
-        self.port.controlled = options.passivity == "control"
-        device, told = self._sender.send(
+        self.allow(options)
+        device, told = self.sender.send(
             wrench, self.scene.coupling, command.pose if command is not self._followed else None, self.scene.dt,
             transport=command.transport, age=1e-9 * (now - command.received_ns),
             took=1e-9 * (time.monotonic_ns() - now),
         )  # fmt: skip
-        if told == BECAME_STALE:
-            self._log.warning(f"no command for {rendering.timeout:g} s: holding the pose, device_wrench is zero")
-        elif told == BACK:
-            self._log.info("commands are back: device_wrench follows the contact again")
+        self.tell(told)
         return device
+
+    def allow(self, options: NodeOptions) -> None:
+        """What a device is sent from now on: as options and coupling have it."""
+        rendering, coupling = self.rendering, self.scene.coupling
+        rendering.scale, rendering.ramp = options.force_scale, options.force_ramp
+        rendering.timeout = options.command_timeout
+        self.port.controlled = options.passivity == "control"
+        self.sender.allow(coupling)
+
+    def tell(self, told: int) -> None:
+        """Of a step: that commands stop, or are back; bits of sending.py."""
+        if told & BECAME_STALE:
+            self._log.warning(f"no command for {self.rendering.timeout:g} s: holding the pose, device_wrench is zero")
+        elif told & BACK:
+            self._log.info("commands are back: device_wrench follows the contact again")
+
+    def take_window(self) -> Window:
+        """The steps since the last call."""
+        if self._compiled is not None:
+            return self._compiled.take_window()
+        window, self._window = self._window, Window()
+        return window
+
+    def take_rung(self) -> None:
+        """Solve as the rung that the budget stands on has it."""
+        if self.budget is not None:
+            self.sim.solve_with(self.rungs[self.budget.rung].solver)
 
     def reset(self) -> Pose:
         """Back to rest at the last command."""

@@ -309,18 +309,15 @@ def test_each_demo_gets_a_folder_of_its_own(tmp_path, monkeypatch):
 
 BROKEN = """
 import sys
-import finger_sim.ros.stepper as stepper
-from finger_sim.ros.node import main
+import finger_sim.ros.node as node
 
-class Broken(stepper.Simulator):
-    left = 20
-
-    def hear(self, command, received):
-        self.left -= 1
-        if self.left < 0:
+class Broken(node.Ticker):
+    def _run_compiled(self):
+        if self.progress.steps > 20 and self._stepper.newest:
             raise ValueError("no such luck")
-        super().hear(command, received)
+        return super()._run_compiled()
 
+main = node.main
 {then}
 sys.exit(main())
 """
@@ -330,7 +327,7 @@ sys.exit(main())
     ("then", "says"),
     [
         ("sys.exit('out of luck')", "the node ended with code 1: out of luck"),
-        ("stepper.Simulator = Broken", "no such luck"),
+        ("node.Ticker = Broken", "no such luck"),
         ("import os; main = lambda: os.kill(os.getpid(), 9)", "the node ended with code -9"),
     ],
 )

@@ -509,25 +509,25 @@ def test_a_light_touch_at_rest_is_no_warning(tmp_path):
 
 STUCK = """
 import sys, threading
-import finger_sim.ros.stepper as stepper
-from finger_sim.ros.node import main
+import finger_sim.ros.node as node
 
-class Stuck(stepper.Simulator):
-    def __init__(self, scene, progress=None):
+class Stuck(node.Ticker):
+    left = 20
+
+    def load(self, tell):
         if {compiling}:
-            progress("compiling for ever")
+            tell("compiling for ever")
             threading.Event().wait()
-        super().__init__(scene, progress)
-        self.left = 20
+        super().load(tell)
 
-    def step(self, command=None, plane=None, *, now=None):
+    def _run_compiled(self):
         self.left -= 1
         if self.left < 0:
             {then}
-        return super().step(command, plane, now=now)
+        return super()._run_compiled()
 
-stepper.Simulator = Stuck
-sys.exit(main())
+node.Ticker = Stuck
+sys.exit(node.main())
 """
 
 

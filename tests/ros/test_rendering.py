@@ -35,7 +35,7 @@ def test_between_commands_the_port_keeps_the_delay_of_the_last(monkeypatch: pyte
         monkeypatch.setattr("finger_sim.ros.stepper.time.monotonic_ns", lambda sent=sent: sent)
         node._send(FORCE, command, begin, options)
         node._followed = command
-        assert node._sender.delay == pytest.approx(0.062)
+        assert node.sender.delay == pytest.approx(0.062)
 
 
 def test_between_answers_a_device_is_let_go_of_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,7 +66,7 @@ def test_a_target_of_the_plane_is_taken_once() -> None:
     result: Any = SimpleNamespace(device_wrench=FORCE)
     step = lambda command, plane, now: taken.append(plane) or result  # noqa: E731
     node.sim = SimpleNamespace(step=step)  # type: ignore[assignment]
-    node.window = SimpleNamespace(add=lambda _: None)  # type: ignore[assignment]
+    node._window = SimpleNamespace(add=lambda _: None)  # type: ignore[assignment]
     targets = [Pose(), Pose((0.0, 0.0, 0.1))]
     for target in targets:
         node.plane = target
@@ -95,8 +95,7 @@ class Changing(Outputs):
     @property
     def options(self) -> NodeOptions:
         self.looks += 1
-        on = 60.0 * (self.looks % 2)
-        return NodeOptions(mesh_rate=on, marker_rate=on, passivity=("observe", "control")[self.looks % 2])
+        return NodeOptions(passivity=("observe", "control")[self.looks % 2])
 
     @options.setter
     def options(self, _: NodeOptions) -> None: ...
@@ -122,7 +121,6 @@ def test_a_step_works_on_one_snapshot_of_the_options() -> None:
         before = outputs.looks
         node.tick(now, [node.newest])
         assert outputs.looks == before + 1
-    assert outputs.mesh_messages > 0
 
 
 def test_a_recording_begins_with_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:

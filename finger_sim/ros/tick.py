@@ -1,0 +1,339 @@
+"""The loop of mode free, in compiled code that holds no interpreter: a step at each deadline, until Python is needed.
+
+    wait for the deadline → take what came → step (simulation/whole.py) → send (haptics/sending.py) → keep accounts
+
+`run` returns where something rare has to be done, and says what; when it is called again it goes on where it was, on
+the same grid of deadlines. ticker.py calls it. Times are in ns on the steady clock, unless said.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..arrays import Bytes, Floats, Ints
+from ..bags import recording
+from ..bags.recording import Recording
+from ..haptics import following, sending
+from ..haptics.budget import Purse, spent
+from ..haptics.coupling import clamped, turned_round
+from ..haptics.path import read, write
+from ..haptics.sending import Sending
+from ..physics.compile import kernel, stage
+from ..physics.model import Model, State
+from ..physics.turns import matrix_entries
+from ..simulation import whole
+from ..simulation.whole import ASLEEP, DONE, FALLS_ASLEEP, FIRST, Body
+from .accounts import MOST_TRANSPORT, Counted, Recent, add, count
+from .pose_bytes import LOOK, read_pose
+from .wire import (
+    NOTHING,
+    RECEIVED,
+    Clock,
+    Incoming,
+    Outgoing,
+    fill,
+    message,
+    publish,
+    sleep_until,
+    steady_ns,
+    take,
+    wall_ns,
+)  # fmt: skip
+
+ASKED, TO_LOOK, TO_PLACE, TO_MEND, TO_TELL, UNHEARD = range(6)
+"""Why `run` returned: somebody asked for a turn; a message is for Python to look at, or its subscription failed
+(UNHEARD); the first command is to place the finger; the step is to be mended; `told` says what is to be told."""
+BECAME_STALE, BACK, RUNG, UNSENT = 1, 2, 4, 8
+"""Bits of `told`: those of sending.py; the budget has gone to another rung; a message could not be sent."""
+_WAIT, _TAKE, _STEP, _SEND = range(4)
+
+DEVICE, CONTACT, POSE = range(3)
+"""Messages that are sent."""
+COMMAND, PLANE = range(2)
+"""Subscriptions."""
+WORLD_ALIGNED, FINGER, WORLD = range(3)
+"""Axes and point of reference of contact_wrench; see layout.express_wrench."""
+
+
+class Deadlines(NamedTuple):
+    """The grid of a loop, and how far it has come; (1,) each. Deadline k lies at origin + k · period.
+
+    asked    : 1 where somebody wants a turn
+    origin, period
+    k        : of the present step, or of the next one
+    begun    : time at which the step began
+    last     : time at which the last one was done
+    steps, late, overruns : see StepCounts
+    """
+
+    asked: Ints
+    origin: Ints
+    period: Ints
+    k: Ints
+    begun: Ints
+    last: Ints
+    steps: Ints
+    late: Ints
+    overruns: Ints
+
+
+class Heard(NamedTuple):
+    """What came; (1,) each, unless said.
+
+    newest    : (7,) numbers of the newest good command
+    received  : time of its receipt; 0: there is none
+    stamp     : of its header
+    transport : (1,) time from its stamp to its receipt by the node's clock [s]; 0 where that cannot be of the same one
+    before    : (7,) numbers of the command that the last step followed
+    fresh     : 1 where no step has followed the newest
+    zero      : receipt of the command that placed the finger; times are counted from it; 0: none has
+    commands  : that came, good or not
+    looked    : (2,) time of the last look at each subscription
+    frame     : bytes of the frame_id that poses must have
+    at        : (7,) a pose that is being read
+    which     : subscription whose message is to be looked at, and
+    when      : time of its receipt
+    failure   : code of rcl, where it failed
+    """
+
+    newest: Floats
+    received: Ints
+    stamp: Ints
+    transport: Floats
+    before: Floats
+    fresh: Ints
+    zero: Ints
+    commands: Ints
+    looked: Ints
+    frame: Bytes
+    at: Floats
+    which: Ints
+    when: Ints
+    failure: Ints
+
+
+class Sent(NamedTuple):
+    """What goes out; (1,) each, unless said.
+
+    device, contact : (6,) wrenches as they are sent
+    axes    : of contact: WORLD_ALIGNED, FINGER or WORLD
+    topics  : (5,) numbers in the recording: device, contact, pose, commands, poses of the plane
+    stamp   : of the step, by the wall clock
+    failure : code of rcl, where it failed
+    """
+
+    device: Floats
+    contact: Floats
+    axes: Ints
+    topics: Ints
+    stamp: Ints
+    failure: Ints
+
+
+class Live(NamedTuple):
+    """All that a loop works on, for compiled code.
+
+    stage, begin : where `run` goes on: in which stage, and in which part of the step (whole.advance)
+    why          : of whole.advance, to be mended
+    told         : bits of what is to be told
+    """
+
+    stage: Ints
+    begin: Ints
+    why: Ints
+    told: Ints
+    clock: Clock
+    deadlines: Deadlines
+    heard: Heard
+    sent: Sent
+    body: Body
+    sending: Sending
+    purse: Purse
+    incoming: Incoming
+    outgoing: Outgoing
+    recording: Recording
+    counted: Counted
+    step_time: Recent
+    lateness: Recent
+    delay: Recent
+    transport: Recent
+
+
+def deadlines(period: float) -> Deadlines:
+    """Of a loop that has not begun. period [s]."""
+    grid = Deadlines(*(np.zeros(1, np.int64) for _ in Deadlines._fields))
+    grid.period[0] = round(1e9 * period)
+    return grid
+
+
+@kernel
+def run(address: int, model: Model, state: State, live: Live) -> int:
+    """Steps until Python is needed; why. address, model, state: see whole.advance."""
+    while True:
+        if live.stage[0] == _WAIT:
+            if live.deadlines.asked[0] != 0:
+                return ASKED
+            _wait(live)
+            live.stage[0] = _TAKE
+        if live.stage[0] == _TAKE:
+            why = _take_all(live)
+            if why != 0:
+                return why
+            live.stage[0], live.begin[0] = _STEP, FIRST
+            if live.heard.received[0] != 0 and live.heard.zero[0] == 0:
+                return TO_PLACE
+        if live.stage[0] == _STEP:
+            why = _step(address, model, state, live)
+            if why != DONE:
+                live.why[0] = why
+                return TO_MEND
+            live.stage[0] = _SEND
+        _send(state, live)
+        _account(live)
+        live.stage[0] = _WAIT
+        if live.told[0] != 0:
+            return TO_TELL
+
+
+@stage
+def _wait(live: Live) -> None:
+    grid, clock = live.deadlines, live.clock
+    deadline = grid.origin[0] + grid.k[0] * grid.period[0]
+    now = steady_ns(clock)
+    while now < deadline:
+        sleep_until(clock, deadline)
+        now = steady_ns(clock)
+    grid.begun[0], live.sent.stamp[0] = now, wall_ns(clock)
+    add(live.lateness, 1e-9 * (now - deadline))
+
+
+@stage
+def _take_all(live: Live) -> int:
+    """All that came by the beginning of the step; TO_LOOK or UNHEARD where Python is needed, else 0."""
+    heard, incoming, clock, begun = live.heard, live.incoming, live.clock, live.deadlines.begun[0]
+    for which in range(2):
+        received = heard.looked[which] + 1
+        while True:
+            size = take(incoming, which)
+            if size == NOTHING:
+                break
+            present, wall = steady_ns(clock), wall_ns(clock)
+            received = max(present - max(wall - incoming.infos[which, RECEIVED], 0), received)
+            heard.which[0], heard.when[0] = which, min(received, begun)
+            if size < 0:
+                heard.failure[0] = -size
+                return UNHEARD
+            data = message(incoming.messages, which)
+            recording.put(live.recording, live.sent.topics[3 + which], heard.when[0], data, size)
+            if which == COMMAND:
+                heard.commands[0] += 1
+            stamp = read_pose(data, heard.frame, heard.at)
+            if stamp == LOOK or (which == PLANE and live.body.table.exists[0] == 0.0):
+                heard.looked[which] = received
+                return TO_LOOK
+            if which == COMMAND:
+                hear(live, heard.when[0], stamp, 1e-9 * (wall - stamp - (present - heard.when[0])))
+            else:
+                write(live.body.table.target, read(heard.at))
+                live.body.table.given[0] = 1.0
+        heard.looked[which] = begun
+    return 0
+
+
+@kernel
+def hear(live: Live, received: int, stamp: int, transport: float) -> None:
+    """The pose in heard.at is the newest command."""
+    heard = live.heard
+    write(heard.newest, read(heard.at))
+    heard.received[0], heard.stamp[0], heard.fresh[0] = received, stamp, 1
+    heard.transport[0] = transport if 0.0 <= transport <= MOST_TRANSPORT else 0.0
+    if heard.zero[0] != 0 and live.body.lead.driven[0] != 0.0:
+        following.hear(live.body.lead.course, read(heard.at), 1e-9 * (received - heard.zero[0]))
+
+
+@stage
+def _step(address: int, model: Model, state: State, live: Live) -> int:
+    """The rest of the step; DONE, or what is to be mended."""
+    body, purse = live.body, live.purse
+    begun = steady_ns(live.clock)
+    now = 1e-9 * (live.deadlines.begun[0] - live.heard.zero[0])
+    why = whole.advance(address, model, state, body, now, live.begin[0])
+    if why == FALLS_ASLEEP:
+        state.v[:] = 0.0
+    elif why != DONE and why != ASLEEP:
+        return why
+    if purse.seconds[0] > 0.0 and spent(purse, 1e-9 * (steady_ns(live.clock) - begun)):
+        live.told[0] |= RUNG
+    count(live.counted, body, why == ASLEEP)
+    return DONE
+
+
+@stage
+def _send(state: State, live: Live) -> None:
+    """Wrench for the device, wrench of contact and pose, published and recorded."""
+    heard, sent, body, begun = live.heard, live.sent, live.body, live.deadlines.begun[0]
+    for i in range(6):
+        sent.contact[i] = state.wrench[i]
+        sent.device[i] = 0.0
+    if heard.received[0] != 0:
+        if body.lead.yields[0] != 0.0:
+            turned_round(state.coupling, body.pose, body.lead.end, sent.device)
+        else:
+            for i in range(6):
+                sent.device[i] = state.wrench[i]
+        rendered = live.sending.rendered
+        clamped(sent.device, rendered.force_limit[0], rendered.torque_limit[0], sent.device)
+        age, took = 1e-9 * (begun - heard.received[0]), 1e-9 * (steady_ns(live.clock) - begun)
+        live.told[0] |= sending.send(
+            live.sending, sent.device, heard.before, heard.newest, heard.fresh[0] != 0, heard.transport[0], age, took,
+            body.dt[0], sent.device,
+        )  # fmt: skip
+    _express(sent.contact, body.pose, sent.axes[0])
+    for which in range(3):
+        numbers = sent.device if which == DEVICE else sent.contact if which == CONTACT else body.pose
+        fill(live.outgoing, which, sent.stamp[0], numbers)
+        failure = publish(live.outgoing, which)
+        if failure != 0:
+            sent.failure[0] = failure
+            live.told[0] |= UNSENT
+        data = message(live.outgoing.messages, which)
+        recording.put(live.recording, sent.topics[which], begun, data, data.shape[0])
+    if heard.fresh[0] != 0:
+        heard.fresh[0] = 0
+        write(heard.before, read(heard.newest))
+        add(live.delay, 1e-9 * (steady_ns(live.clock) - heard.received[0]))
+        add(live.transport, heard.transport[0])
+
+
+@stage
+def _express(wrench: Floats, pose: Floats, axes: int) -> None:
+    """layout.express_wrench."""
+    x, y, z, u, v, w = wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5]
+    if axes == WORLD:
+        wrench[3] += pose[1] * z - pose[2] * y
+        wrench[4] += pose[2] * x - pose[0] * z
+        wrench[5] += pose[0] * y - pose[1] * x
+    elif axes == FINGER:
+        a, b, c, d, e, f, g, h, i = matrix_entries((pose[3], pose[4], pose[5], pose[6]))
+        wrench[0], wrench[1], wrench[2] = a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+        wrench[3], wrench[4], wrench[5] = a * u + d * v + g * w, b * u + e * v + h * w, c * u + f * v + i * w
+
+
+@stage
+def _account(live: Live) -> None:
+    """Of the step that is done: deadlines that have passed are skipped, and counted."""
+    grid = live.deadlines
+    now, k = steady_ns(live.clock), grid.k[0]
+    passed = (now - grid.origin[0]) // grid.period[0]
+    grid.steps[0] += 1
+    grid.late[0] += 1 if passed > k else 0
+    grid.k[0] = max(k + 1, passed)
+    grid.overruns[0] += grid.k[0] - (k + 1)
+    grid.last[0] = now
+    add(live.step_time, 1e-9 * (now - grid.begun[0]))
+
+
+KERNELS = (run, hear)
+"""What a ticker calls."""
