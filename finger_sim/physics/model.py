@@ -91,6 +91,7 @@ class Model(NamedTuple):
     lame_lambda: float  # [Pa]; where there are patches −2 μ / 3: what a tetrahedron's deviator has of it
     lame_mu: float  # [Pa]
     least_force: float  # forces are judged relative to the largest row force, and no finer than relative to this [N]
+    felt_force: float  # nor than to this [N]: Solver.least_force
     damping_mass: float  # Rayleigh α [1/s]
     damping_stiffness: float  # Rayleigh β [s]
     gravity: Floats  # (3,) [m/s²], world

@@ -240,7 +240,7 @@ def evaluate(model: Model, state: State, h: float, contacts: int, rows: int, cha
     if not total < math.inf:  # max() passes over what is not a number
         return math.inf, math.inf
     missing = math.sqrt(worst) / h
-    return missing / max(largest, model.least_force), missing
+    return missing / max(largest, model.least_force, model.felt_force), missing
 
 
 @stage

@@ -62,7 +62,7 @@ def solve_rows(model: Model, state: State, h: float, contact_rows: int, rows: in
             _make_column(system, row, Z[row])
             _add(u, Z[row], lam[row])
 
-    floor = model.least_force
+    floor = max(model.least_force, model.felt_force)
     worst, largest = visit(system, model.mu_friction, contact_rows, rows, False)
     residual = least = worst / max(largest, floor)
     copy_first(best, lam, rows)

@@ -90,6 +90,7 @@ class Live(NamedTuple):
     spring: Floats
     spring_limit: Floats
     tolerance: float
+    felt_force: float
     max_iterations: int
     settles: bool
     turn: float

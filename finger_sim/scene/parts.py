@@ -187,6 +187,15 @@ class Solver:
         high=0.5,
         live=True,
     )
+    least_force: float = field(
+        "float",
+        "Forces are judged no finer than relative to this one: a first touch is not solved finer than anybody feels",
+        default=0.0,
+        unit="N",
+        low=0.0,
+        high=1e3,
+        live=True,
+    )
     max_iterations: int = field(
         "int",
         "Sweeps or Newton iterations a step at most; reaching it sets a status bit",

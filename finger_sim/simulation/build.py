@@ -57,6 +57,7 @@ def _live(scene: Scene, length: float) -> Live:
         ),
         spring_limit=np.array([coupling.force_limit, coupling.torque_limit]),
         tolerance=solver.tolerance,
+        felt_force=solver.least_force,
         max_iterations=solver.max_iterations,
         settles=solver.settle,
         turn=math.cos(0.5 * LEVELS[solver.level]) ** 2,

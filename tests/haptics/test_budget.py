@@ -7,6 +7,7 @@ import pytest
 from small_fingers import small
 
 from finger_sim import Scene, Simulator
+from finger_sim.haptics import budget as budgets
 from finger_sim.haptics.budget import MOST_PATIENCE, PATIENCE, WINDOW, Budget, claimed, ladder, usable
 from finger_sim.scene import Solver
 from finger_sim.studies.shared import poses
@@ -107,6 +108,14 @@ def test_rungs_never_ask_for_more_than_the_scene_and_each_changes_something() ->
         assert ladder(solver)[0].solver == solver
 
 
+def test_a_rung_that_blows_a_body_up_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where its error was measured to be half of the peak force."""
+    scene = Scene.load("finger_coupled")
+    for error, rungs in ((0.49, 3), (0.5, 2)):
+        monkeypatch.setattr(budgets, "claimed", lambda *_, error=error: {"capped": error})
+        assert len(usable(scene, scene.load_mesh())) == rungs
+
+
 def test_errors_are_claimed_only_of_what_was_measured() -> None:
     """For each shipped scene its own; none once a value that decides about them is another."""
     haptic, other = Scene.load("finger_haptic"), Scene.load("finger")
@@ -119,7 +128,7 @@ def test_errors_are_claimed_only_of_what_was_measured() -> None:
         assert claimed(haptic.with_values(changes), mesh) == {}
     assert claimed(haptic, Scene.load("presets/haptic").load_mesh()) == mine
     coupled = Scene.load("finger_coupled")
-    assert [rung.name for rung in usable(coupled, mesh)] == ["scene", "coarse"]
+    assert [rung.name for rung in usable(coupled, mesh)] == ["scene", "coarse", "capped"]
     assert usable(haptic, mesh) == ladder(haptic.solver)
     beam = Scene.from_dict({"mesh": {"beam": {"size": [1.0, 1.0, 1.0], "cells": [1, 1, 1]}}})
     assert claimed(beam, beam.load_mesh()) == {}

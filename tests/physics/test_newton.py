@@ -348,6 +348,32 @@ def test_a_deadline() -> None:
     assert healthy(run(sim, 60))
 
 
+@pytest.mark.parametrize("method", ["newton", "pgs"])
+def test_forces_are_solved_no_finer_than_relative_to_the_least_force(method: str) -> None:
+    """While they are small that saves iterations, and they are off by what was allowed; where they are large, nothing.
+
+    The forces are those of runs to 1e-9; a contact force may lack as much as each of its nodes.
+    """
+    scene = block((3, 3, 2), limits=limits("tensor"))
+    solver = {"method": method, "tolerance": 1e-4, "max_iterations": 2000}
+    exact, relative, absolute, fine = (
+        Simulator(scene.with_values({f"solver.{name}": value for name, value in (solver | more).items()}))
+        for more in (
+            {"method": "newton", "tolerance": 1e-9}, {}, {"least_force": 10.0}, {"least_force": 1e-5}
+        )
+    )  # fmt: skip
+    saved = lightest = heaviest = 0.0
+    for k in range(40):
+        truth, own, loose, same = (sim.step(sliding(k)) for sim in (exact, relative, absolute, fine))
+        assert np.linalg.norm((loose.contact_wrench - truth.contact_wrench)[:3]) <= 32 * 1e-3
+        assert (same.contact_wrench == own.contact_wrench).all()
+        saved += own.iterations - loose.iterations
+        force = float(np.linalg.norm(truth.contact_wrench[:3]))
+        lightest, heaviest = min(lightest or force, force or lightest), max(heaviest, force)
+    assert lightest < 0.2 * heaviest
+    assert saved > 20
+
+
 def test_nan_inside_a_step_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     """A right-hand side that is not a number, while rows hold: NONFINITE, not a step that looks like any other."""
     sim = Simulator(block((2, 2, 1), limits=limits("tensor")))

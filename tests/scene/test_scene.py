@@ -43,6 +43,7 @@ FULL: dict[str, Any] = {
     "solver": {
         "method": "pgs",
         "tolerance": 1e-4,
+        "least_force": 0.1,
         "max_iterations": 50,
         "relinearizations": 1,
         "settle": False,
