@@ -26,7 +26,7 @@ SCENE = "finger_haptic"
 PRESETS: dict[str, tuple[str, Mapping[str, Any]]] = {
     "fastest": (
         "for the least computing time: 250 Hz, a coarse tolerance",
-        {"dt": 4e-3, "solver.tolerance": 1e-2, "solver.least_force": 0.03, "plane.stiffness": 120.0},
+        {"dt": 4e-3, "solver.tolerance": 1e-2, "plane.stiffness": 120.0},
     ),
     "haptic": (
         "for 1 kHz",
