@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 from scipy.spatial.transform import Rotation
 from small_fingers import small
 
 from finger_sim import Pose, Scene, Simulator, Status, StepResult
+from finger_sim.physics.compile import kernel
 from finger_sim.physics.elimination import analyse
 from finger_sim.physics.tensor_rows import pack_rows
 
@@ -160,7 +160,7 @@ def settle(sim: Simulator, command: Pose | None = None, *, speed: float = 1e-9, 
     raise AssertionError(f"not at rest after {steps} steps: {np.abs(sim.velocities).max():.2e} m/s")
 
 
-@numba.njit  # type: ignore[untyped-decorator]
+@kernel
 def _packed(model: Any, state: Any, first: int) -> int:
     return pack_rows(model, state, first, False)
 

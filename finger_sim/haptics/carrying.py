@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ..arrays import Floats
-from ..physics.compile import kernel, shared, stage
+from ..physics.compile import kernel, stage
 from ..physics.records import side_by_side
 from ..physics.turns import Quaternion, matrix_entries, normalised
 from .coupling import LONGEST_GAP, allowed_part, between_numbers, way_and_turn
@@ -130,7 +130,7 @@ def place(table: Table, part: float, normal: Floats, point: Floats) -> None:
         point[i] = at[i]
 
 
-@shared
+@stage
 def upward(pose: Numbers) -> Vector:
     """The z axis of a pose, in world axes."""
     entries = matrix_entries(turn(pose))
@@ -142,7 +142,7 @@ def _three(row: Floats) -> Vector:
     return row[0], row[1], row[2]
 
 
-@shared
+@stage
 def nearest(pose: Numbers, normal: Vector, point: Vector) -> Numbers:
     """The pose of a plane, given by normal and point, that is the least way and turn from `pose`."""
     own = upward(pose)
@@ -162,7 +162,7 @@ def nearest(pose: Numbers, normal: Vector, point: Vector) -> Numbers:
     return x, y, z, i, j, k, l
 
 
-@shared
+@stage
 def turned(normal: Vector, start: Vector) -> Quaternion:
     """The least rotation that takes the unit vector `start` to `normal`; from opposite ones, about any axis across."""
     a, b, c = start

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..arrays import Floats
-from ..physics.compile import formula, kernel, shared
+from ..physics.compile import formula, kernel, stage
 from ..physics.turns import angle, rotation_vector, slerp
 from ..scene import Coupling, Pose, Vec3, place
 from .path import Numbers, numbers, turn
@@ -33,7 +33,7 @@ def follow(coupling: Coupling, pose: Pose, command: Pose, dt: float) -> tuple[Po
     return between(pose, command, part), part != 1.0
 
 
-@shared
+@stage
 def allowed_part(start: Numbers, goal: Numbers, way: float, most_turn: float) -> float:
     """Of the way from start to goal: where neither way [m] nor turn [rad] is longer than these."""
     part = 1.0
@@ -67,7 +67,7 @@ def outside(normal: Vec3, point: Vec3, skin: Floats, pose: Pose) -> Pose:
     return Pose((x, y, z), pose.orientation)
 
 
-@shared
+@stage
 def height(normal: Vec3 | Floats, point: Vec3 | Floats, centre: Vec3 | Floats, at: Numbers) -> float:
     """Of the bone's centre over the plane [m], where the bone has a pose of these numbers."""
     x, y, z, w = turn(at)
@@ -89,7 +89,7 @@ def between(a: Pose, b: Pose, fraction: float) -> Pose:
     return Pose((x, y, z), (i, j, k, w))
 
 
-@shared
+@stage
 def between_numbers(a: Numbers, b: Numbers, fraction: float) -> Numbers:
     """`between` of numbers of poses."""
     if fraction == 1.0:
@@ -105,7 +105,7 @@ def displacement(start: Pose, end: Pose) -> tuple[float, float, float, float, fl
     return way_and_turn(numbers(start), numbers(end))
 
 
-@shared
+@stage
 def way_and_turn(start: Numbers, end: Numbers) -> tuple[float, float, float, float, float, float]:
     """`displacement` of numbers of poses."""
     x, y, z = rotation_vector(turn(start), turn(end))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats, Ints
-from ..physics.compile import formula, shared, stage
+from ..physics.compile import formula, stage
 from ..physics.turns import Quaternion, angle, normalised, slerp
 from ..scene import Pose
 
@@ -63,25 +63,25 @@ def pose_of(at: Floats) -> Pose:
     return Pose((x, y, z), (a, b, c, d))
 
 
-@shared
+@stage
 def turn(at: Numbers) -> Quaternion:
     """The quaternion among the numbers of a pose."""
     return at[3], at[4], at[5], at[6]
 
 
-@shared
+@stage
 def on_side(at: Numbers, side: float) -> Numbers:
     """The same orientation by q, or by -q."""
     return at[0], at[1], at[2], side * at[3], side * at[4], side * at[5], side * at[6]
 
 
-@shared
+@stage
 def side_near(at: Numbers, near: Numbers) -> float:
     """1; -1 where -q is nearer than q to the quaternion of `near`."""
     return -1.0 if at[3] * near[3] + at[4] * near[4] + at[5] * near[5] + at[6] * near[6] < 0.0 else 1.0
 
 
-@shared
+@stage
 def mix(a: Numbers, b: Numbers, share: float) -> Numbers:
     """On the straight line from a to b, whose quaternions are near to each other; not normalised."""
     return (
@@ -91,7 +91,7 @@ def mix(a: Numbers, b: Numbers, share: float) -> Numbers:
     )  # fmt: skip
 
 
-@shared
+@stage
 def distance(a: Numbers, b: Numbers) -> float:
     """Between the seven numbers of two poses."""
     return math.hypot(
@@ -99,7 +99,7 @@ def distance(a: Numbers, b: Numbers) -> float:
     )  # fmt: skip
 
 
-@shared
+@stage
 def with_unit_turn(at: Numbers) -> Numbers:
     """With a unit quaternion."""
     x, y, z, w = normalised(turn(at))

@@ -27,12 +27,16 @@ import numba
 import numpy as np
 from numba.core import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
+from numba.core.datamodel import models
+from numba.core.extending import register_model
+from numba.core.types.misc import unliteral
 from numba.core.typing.templates import infer_global
 
 from . import lowering  # noqa: F401  (lanes mean nothing to the compiler without it)
 from .folders import UnsafeError, alone, private, read_only, use
 from .kept import DamagedError, Kept, remove_damaged
-from .progress import counted, is_there
+from .libraries import ForCallers, ForItself
+from .progress import counted, goes_into_callers, is_there
 from .sources import digest, imported
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -53,8 +57,6 @@ LOCK = "compiling"
 
 _PACKAGE = Path(__file__).parents[1]
 _log = logging.getLogger(__name__)
-_shared: list[Any] = []
-"""What kernels call in place of functions that Python calls, too: kept here, as numba does not."""
 _turns: list[_Turn] = []
 """Of the blocks of `compiling` that this process is in."""
 _damaged: list[str] = []
@@ -145,7 +147,7 @@ def compiling(tell: Callable[[str], None], kernels: Iterable[Any] = ()) -> Itera
     """
     folder = None if numba.config.DISABLE_JIT else cache_folder()
     if folder is None:
-        tell("kernels run uncompiled" if numba.config.DISABLE_JIT else "compiling kernels: a minute or two, not kept")
+        tell("kernels run uncompiled" if numba.config.DISABLE_JIT else "compiling kernels: up to a minute, not kept")
         with counted(tell, kernels):
             yield
         return
@@ -184,54 +186,71 @@ class _Turn:
     def begin(self) -> None:
         if not self._begun:
             self._begun = True
-            self._tell("compiling kernels: once on this machine for these sources, a minute or two")
+            self._tell("compiling kernels: once on this machine for these sources, up to a minute")
             self._end.enter_context(counted(self._tell, self._kernels))
 
 
 def kernel(function: Function) -> Function:
-    """Compile `function` when first called: cached on disk, without the GIL, IEEE division, no NaN assumptions."""
-    return _compiled(function, called_from_python=True)
+    """Compile `function` when first called: cached on disk, without the GIL, IEEE division, no NaN assumptions.
+
+    Python and other kernels call it; of the latter each has its code as that of a stage.
+    """
+    if numba.config.DISABLE_JIT:
+        return function
+    compiled = _compiled(function, ForItself)
+    compiled._cache = _NoCache(function) if cache_folder() is None else _Cache(function)
+    compiled.typingctx._remove_global(compiled)
+    compiled.typingctx.insert_global(compiled, _of_stage(function))  # what other kernels take it for
+    return cast(Function, compiled)
 
 
 def stage(function: Function) -> Function:
-    """A `kernel` that only other kernels call.
+    """A function that kernels call compiled: its code goes into each of them. Python calls it as it is.
 
-    Unpacking a Model and a State from Python is code by the ten thousand lines; leaving it out of the stages of a
-    step halves the time to compile them all.
+    Compiled, it can neither make an array nor return one that it was not given: nobody counts who refers to it.
     """
-    return _compiled(function, called_from_python=False)
+    return _into_callers(function)
 
 
 def formula(function: Function) -> Function:
-    """A `stage` that is compiled into each of its callers: for a few lines on lanes, which no call should interrupt."""
-    return _compiled(function, called_from_python=False, inline=True)
+    """A `stage` that goes into each of its callers for sure: a few lines on lanes, which no call should interrupt."""
+    return _into_callers(function, forceinline=True)
 
 
 def exact(function: Function) -> Function:
     """A `stage` none of whose products and sums are fused: each is rounded by itself, as Python rounds it."""
-    return _compiled(function, called_from_python=False, fused=False)
+    return _into_callers(function, fastmath=False)
 
 
-def shared(function: Function) -> Function:
-    """A function of plain numbers that Python calls as it is, and kernels call by the same name, compiled."""
+def _into_callers(function: Function, **options: Any) -> Function:
     if not numba.config.DISABLE_JIT:
-        _shared.append(_compiled(function, called_from_python=False))
-        infer_global(function, types.Dispatcher(_shared[-1]))
+        infer_global(function, _of_stage(function, **options))
     return function
 
 
-def _compiled(function: Function, called_from_python: bool, inline: bool = False, fused: bool = True) -> Function:
-    compiled = numba.njit(
-        nogil=True,
-        error_model="numpy",
-        fastmath=FASTMATH if fused else False,
-        no_cfunc_wrapper=True,
-        no_cpython_wrapper=not called_from_python,
-        forceinline=inline,
-    )(function)
-    if not numba.config.DISABLE_JIT:
-        compiled._cache = _NoCache(function) if cache_folder() is None else _Cache(function)
-    return cast(Function, compiled)
+def _of_stage(function: Any, **options: Any) -> _OfTypes:
+    """numba's type of a function whose code goes into its callers."""
+    compiled = _compiled(function, ForCallers, no_cpython_wrapper=True, _nrt=False, **options)
+    compiled._cache = _NoCache(function)
+    goes_into_callers(function, compiled)
+    return _OfTypes(compiled)
+
+
+def _compiled(function: Any, where: type, **options: Any) -> Any:
+    chosen = {"nogil": True, "error_model": "numpy", "fastmath": FASTMATH, "no_cfunc_wrapper": True}
+    return numba.njit(pipeline_class=where, **chosen | options)(function)
+
+
+class _OfTypes(types.Dispatcher):
+    """A function that is compiled for the types of its arguments, and not once more for each literal."""
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        """Arguments by place and by name."""
+        named = {name: unliteral(kind) for name, kind in kws.items()}
+        return super().get_call_type(context, tuple(unliteral(kind) for kind in args), named)
+
+
+register_model(_OfTypes)(models.OpaqueModel)
 
 
 class _Locator(_CacheLocator):  # type: ignore[misc]
@@ -277,6 +296,11 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         self._cache_file = Kept(
             Path(self._impl.locator.get_cache_path()), self._impl.filename_base, self._impl.locator.get_source_stamp()
         )
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether there is a file of it, for some arguments."""
+        return self._cache_file.exists
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         loaded, damage = self._load(signature, target_context)

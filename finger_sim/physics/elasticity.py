@@ -28,7 +28,7 @@ from .methods import NEWTON, NONE, TENSOR
 from .model import Model, State
 from .polar import load_matrix, transposed_times
 from .turning import add_turning, resist_driven
-from .vectors import add, clear, subtract_product
+from .vectors import add, clear, copy8, subtract_product
 from .work import MATRICES
 
 _CHANGED = 0.3  # of the largest limit force of a tetrahedron, by which one may change while steps share A
@@ -59,7 +59,7 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
                 rhs[nf + 3 + d, i] = masses[n] * (v[n, i] + h * gravity[i])
     beta = model.damping_stiffness
     if anew:
-        state.turning_force[:] = state.limit_force
+        copy8(state.turning_force, state.limit_force, 1)
     if model.patches.volume.shape[0] > 0:
         patch_pressures(model, state, beta if again else h + beta)
     stresses(model, state, h, beta if again else h + beta, anew)
@@ -67,7 +67,7 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
         matrix(model, state, h)
         state.work[MATRICES] += 1
         if model.method == NEWTON:
-            state.turned[:] = state.quaternion
+            copy8(state.turned, state.quaternion, 4)
     if model.patches.volume.shape[0] > 0 and model.projection == TENSOR and model.limit_compliance > 0.0:
         if anew:
             add_turning(model, state, h)

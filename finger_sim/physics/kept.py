@@ -38,6 +38,11 @@ class Kept:
         self._folder, self._name, self._stamp = folder, name, stamp
         self._index = folder / f"{name}.nbi"
 
+    @property
+    def exists(self) -> bool:
+        """Whether a version was saved, under whatever stamp."""
+        return os.path.exists(self._index)  # no, also in a folder that is closed to us
+
     def load(self, key: Hashable) -> Any:
         """What was saved, None when nothing was. Raises DamagedError."""
         digest = self._versions().get(key)

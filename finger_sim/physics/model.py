@@ -119,6 +119,9 @@ class Model(NamedTuple):
     settles: bool  # a step whose driven nodes stay is linearised twice
     turn: float  # cos² of half the angle that a tetrahedron may turn by while steps share A; 1: none do
     deadline: float  # [s] after which a step begins no further iteration; 0: none
+    sweeps_at: int  # addresses of kernels (apart.py); 0: not needed, or nothing is compiled
+    decompose_at: int
+    limit_rows_at: int
 
 
 class Newton(NamedTuple):
@@ -172,7 +175,7 @@ class Yielding(NamedTuple):
 
 
 class Principal(NamedTuple):
-    """F and its decomposition, for limits on principal stretches (kinematics.py, strain_limits.py)."""
+    """F and its decomposition, for limits on principal stretches (svd.py, strain_limits.py)."""
 
     F: Floats  # (T, 3, 3) deformation gradient at x
     U: Floats  # (T, 3, 3) F = U diag(s) Vᵀ

@@ -23,7 +23,9 @@ def observe_limits(model: Model, state: State, contacts: int, rows: int) -> tupl
         greatest = greatest_strain(model, state)
     else:
         strain_ratio(model, state)
-        greatest = state.strain_ratio.max()
+        greatest = 0.0
+        for t in range(state.strain_ratio.shape[0]):
+            greatest = max(greatest, state.strain_ratio[t])
     state.patch_force[:] = 0.0
     if model.projection == TENSOR and model.method == NEWTON:
         held, tets = observe_groups(model, state)

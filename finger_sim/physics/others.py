@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
@@ -19,20 +18,25 @@ def address_of(kernel: Any, kinds: tuple[Any, ...]) -> int:
     return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
 
 
-@intrinsic(prefer_literal=False)  # type: ignore[untyped-decorator]
-def call_at(typing: Any, address: Any, *kinds: Any) -> Any:
-    """Call a kernel that returns nothing, at an address that `address_of` gave for just these arguments."""
-    given = kinds[0] if len(kinds) == 1 and isinstance(kinds[0], types.BaseTuple) else kinds
+def calls(returned: Any) -> Any:
+    """For compiled code: call a kernel that returns this numba type and raises nothing.
 
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        convention = context.call_conv
-        function = convention.get_function_type(types.none, tuple(given))
-        returned, raised = (builder.alloca(kind.pointee) for kind in function.args[:2])
-        for place in (returned, raised):
-            builder.store(ir.Constant(place.type.pointee, None), place)
-        values = [builder.extract_value(args[1], k) for k in range(len(given))]
-        packed = convention._get_arg_packer(tuple(given)).as_arguments(builder, values)
-        builder.call(builder.inttoptr(args[0], function.as_pointer()), [returned, raised, *packed])
-        return context.get_dummy_value()
+    At an address that `address_of` gave for just the arguments that follow it.
+    """
 
-    return types.none(address, types.BaseTuple.from_types(tuple(given))), generate
+    @intrinsic(prefer_literal=False)  # type: ignore[untyped-decorator]
+    def call(typing: Any, address: Any, *kinds: Any) -> Any:
+        given = tuple(kinds[0] if len(kinds) == 1 and isinstance(kinds[0], types.BaseTuple) else kinds)
+
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            convention = context.call_conv
+            function = builder.inttoptr(args[0], convention.get_function_type(returned, given).as_pointer())
+            values = [builder.extract_value(args[1], k) for k in range(len(given))]
+            return convention.call_function(builder, function, returned, given, values)[1]
+
+        return returned(address, types.BaseTuple.from_types(given)), generate
+
+    return call
+
+
+call_at = calls(types.none)

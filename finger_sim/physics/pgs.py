@@ -23,9 +23,20 @@ from .compile import kernel, stage
 from .dilatation import add_patch_forces
 from .linear_solver import solve
 from .model import Model, State
+from .touched import inverse_between, touched_nodes
 from .vectors import clear, copy_first
 
 _CHECK = 16  # the residual is taken after a sweep that changed little enough to hope, and after every so many
+
+
+@kernel
+def solve_by_sweeps(model: Model, state: State, h: float, contacts: int, rows: int) -> tuple[int, float]:
+    """Row forces into state.lam[:rows], velocities v_free + h A⁻¹ Jᵀ λ into state.v. What `solve_rows` returns."""
+    touched, patches = touched_nodes(model, state, contacts, rows)
+    inverse_between(model, state, h, touched, patches)
+    sweeps, residual = solve_rows(model, state, h, contacts, rows, 3 * touched + patches)
+    apply_rows(model, state, h, contacts, rows)
+    return sweeps, residual
 
 
 @stage

@@ -16,7 +16,7 @@ from ..arrays import Floats
 from .compile import formula, stage
 from .jacobi import diagonalise4
 from .lanes import Lanes, bits, lane, load8, splat8, sqrt, store8, where
-from .rotations import matrix_entries
+from .turns import matrix_entries
 
 Matrix = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]  # by rows
 Quaternion = tuple[Lanes, Lanes, Lanes, Lanes]  # x y z w, at length one
@@ -25,7 +25,7 @@ _ITERATIONS = 6
 _CLOSE = 1e-10  # |w|² after which the error, of order |w|³, is round-off
 
 
-rotation = formula(matrix_entries)
+rotation = matrix_entries
 """R of unit quaternions, by rows."""
 
 

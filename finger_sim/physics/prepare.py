@@ -168,6 +168,9 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         has_bone=has_bone,
         rest_driven=body.points[driven] if has_bone else np.zeros((0, 3)),
         bone_lever=_lever(body.points[driven], length) if has_bone else length,
+        sweeps_at=0,
+        decompose_at=0,
+        limit_rows_at=0,
         **live._asdict(),
     )
 

@@ -11,6 +11,7 @@ from numba import types
 from numba.extending import overload
 
 from ..arrays import Floats
+from .apart import bound, needed_by
 from .kinematics import kinematics
 from .methods import NONE, TENSOR
 from .model import Model, State
@@ -18,10 +19,16 @@ from .others import address_of, call_at
 from .records import Pointed
 from .step import step
 from .strain_limits import find_bounded, strain_ratio
+from .svd import decompose
 from .tensor_limit import all_strains
 
-KERNELS = (step, all_strains)
-"""What `advance` and `measure_strains` call."""
+_REST = (types.float64[:, ::1], types.float64)
+"""numba's types of what a step takes beside a Model and a State."""
+
+
+def kernels(model: Model) -> tuple[Any, ...]:
+    """What `advance`, `refresh` and `measure_strains` call for a model."""
+    return (step, kinematics, find_bounded, strain_ratio, all_strains, *needed_by(model).values())
 
 
 class Ready(NamedTuple):
@@ -39,8 +46,9 @@ def ready(model: Model, state: State) -> Ready:
     """Both as addresses. A changed Model (with_live_values) needs a new one; arrays are shared, not copied."""
     if numba.config.DISABLE_JIT:
         return Ready(model, state, state, model.projection, step, 0)
-    pointed, body = Pointed(model), Pointed(state)
-    kinds = (pointed.kind, body.kind, types.float64[:, ::1], types.float64)
+    body = Pointed(state)
+    pointed = Pointed(bound(model, (Pointed(model).kind, body.kind)))
+    kinds = (pointed.kind, body.kind, *_REST)
     run = step.compile(kinds)  # type: ignore[attr-defined]
     return Ready(pointed, body, state, model.projection, run, address_of(step, kinds))
 
@@ -69,6 +77,8 @@ def refresh(both: Ready) -> None:
     state.tensor.near[:] = 0.0
     state.tensor.frames[:, 3:] = np.eye(3).reshape(9, 1)
     kinematics(both.model, both.state)
+    if both.projection not in (NONE, TENSOR):
+        decompose(both.model, both.state)
     if both.projection != NONE:
         find_bounded(both.model, both.state)
     if both.projection not in (NONE, TENSOR):

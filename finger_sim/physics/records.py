@@ -153,34 +153,50 @@ class _RecordField(AttributeTemplate):  # type: ignore[misc]
 
 
 @lower_getattr_generic(RecordType)  # type: ignore[untyped-decorator]
-def _lower_field(context: Any, builder: Any, kind: RecordType, value: Any, name: str) -> Any:
+def read_field(context: Any, builder: Any, kind: RecordType, value: Any, name: str) -> Any:
+    """The field of that name of a record in compiled code."""
     field = kind.fields[name]
     words = builder.bitcast(value, _WORD.as_pointer())
-
-    def word(k: int) -> Any:
-        place = builder.gep(words, [ir.Constant(_WORD, kind.places[name] + k)], inbounds=True)
-        loaded = builder.load(place, align=8)
-        loaded.set_metadata("invariant.load", builder.module.add_metadata([]))  # nothing writes a record's memory
-        return loaded
-
+    place = builder.gep(words, [ir.Constant(_WORD, kind.places[name])], inbounds=True)
     if isinstance(field, types.Array):
-        array = context.make_array(field)(context, builder)
-        array.data = builder.inttoptr(word(0), array.data.type)
-        shape = [word(1 + d) for d in range(field.ndim)]
-        array.shape = cgutils.pack_array(builder, shape, ty=_WORD)
-        array.strides = cgutils.pack_array(builder, [word(1 + field.ndim + d) for d in range(field.ndim)], ty=_WORD)
-        count = shape[0]
-        for size in shape[1:]:
-            count = builder.mul(count, size)
-        array.nitems = count
-        array.itemsize = ir.Constant(_WORD, context.get_abi_sizeof(context.get_data_type(field.dtype)))
-        array.meminfo = cgutils.get_null_value(array.meminfo.type)  # counted by nobody
-        array.parent = cgutils.get_null_value(array.parent.type)
-        return array._getvalue()
+        return builder.call(_array_reader(context, builder.module, field), [place])
+    word = _word(builder, place, 0)
     if isinstance(field, RecordType):
-        return builder.inttoptr(word(0), cgutils.voidptr_t)
+        return builder.inttoptr(word, cgutils.voidptr_t)
     if isinstance(field, types.Float):
-        return builder.bitcast(word(0), ir.DoubleType())
+        return builder.bitcast(word, ir.DoubleType())
     if isinstance(field, types.Boolean):
-        return builder.icmp_signed("!=", word(0), ir.Constant(_WORD, 0))
-    return word(0)
+        return builder.icmp_signed("!=", word, ir.Constant(_WORD, 0))
+    return word
+
+
+def _word(builder: Any, words: Any, k: int) -> Any:
+    loaded = builder.load(builder.gep(words, [ir.Constant(_WORD, k)], inbounds=True), align=8)
+    loaded.set_metadata("invariant.load", builder.module.add_metadata([]))  # nothing writes a record's memory
+    return loaded
+
+
+def _array_reader(context: Any, module: Any, kind: Any) -> Any:
+    """A function that makes an array of its address, shape and strides: called, as it is long, and inlined."""
+    signature = ir.FunctionType(context.get_value_type(kind), [_WORD.as_pointer()])
+    reader = cgutils.get_or_insert_function(module, signature, f"finger_sim.array.{kind.dtype}.{kind.ndim}")
+    if not reader.is_declaration:
+        return reader
+    reader.linkage = "linkonce_odr"
+    reader.attributes.add("alwaysinline")
+    builder = ir.IRBuilder(reader.append_basic_block())
+    words, array = reader.args[0], context.make_array(kind)(context, builder)
+    array.data = builder.inttoptr(_word(builder, words, 0), array.data.type)
+    shape = [_word(builder, words, 1 + d) for d in range(kind.ndim)]
+    array.shape = cgutils.pack_array(builder, shape, ty=_WORD)
+    strides = [_word(builder, words, 1 + kind.ndim + d) for d in range(kind.ndim)]
+    array.strides = cgutils.pack_array(builder, strides, ty=_WORD)
+    count = shape[0]
+    for size in shape[1:]:
+        count = builder.mul(count, size)
+    array.nitems = count
+    array.itemsize = ir.Constant(_WORD, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+    array.meminfo = cgutils.get_null_value(array.meminfo.type)  # counted by nobody
+    array.parent = cgutils.get_null_value(array.parent.type)
+    builder.ret(array._getvalue())
+    return reader

@@ -6,6 +6,7 @@ import enum
 import math
 
 from ..arrays import Floats
+from . import apart
 from .bone import aim_bone, move_bone, place_driven
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import kernel, stage
@@ -19,11 +20,8 @@ from .methods import NEWTON, NONE, PGS, TENSOR
 from .model import Model, State
 from .newton import newton
 from .observed import observe_limits
-from .pgs import apply_rows, solve_rows
-from .rows import finish_rows
-from .strain_limits import find_bounded, limit_rows
+from .strain_limits import find_bounded
 from .tensor_rows import pack_rows, tensor_rows
-from .touched import inverse_between, touched_nodes
 from .vectors import add, copy
 from .work import CONTACT_ROWS, LIMITS, LINEAR
 
@@ -112,8 +110,9 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
         return
     fastest = integrate(model, state, targets, h)  # x += h v
     if model.has_bone:
-        state.bone[:7] = state.bone[7:]
-    kinematics(model, state)
+        for i in range(7):
+            state.bone[i] = state.bone[7 + i]
+    deform(model, state)
     lap(state.laps, state.time, KINEMATICS)
     state.age[0] += 1
     if model.projection != NONE:
@@ -152,11 +151,9 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
             if model.method == PGS:
                 rows = pack_rows(model, state, contacts, False)
         else:
-            rows = limit_rows(model, state, h, contacts)
+            rows = apart.limit_rows(model, state, h, contacts)
         if rows < 0:
             rows, status = state.lam.shape[0], _ROW_LIMIT
-        if model.projection != TENSOR:
-            finish_rows(model, state, h, contacts, rows)
     work[CONTACT_ROWS] += contacts
     work[LIMITS] += rows - contacts
     lap(state.laps, state.time, ROWS)
@@ -164,10 +161,7 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
     if model.method == NEWTON:
         iterations, residual, definite = newton(model, state, h, contacts, rows, anew, tolerance)
     elif rows > 0:
-        touched, patches = touched_nodes(model, state, contacts, rows)
-        inverse_between(model, state, h, touched, patches)
-        iterations, residual = solve_rows(model, state, h, contacts, rows, 3 * touched + patches)
-        apply_rows(model, state, h, contacts, rows)  # v = v_free + h A⁻¹ Jᵀ λ
+        iterations, residual = apart.solve_by_sweeps(model, state, h, contacts, rows)  # v = v_free + h A⁻¹ Jᵀ λ
     if not residual <= model.tolerance:
         status |= _ITERATION_LIMIT
     result = state.result
@@ -185,9 +179,17 @@ def relinearise(model: Model, state: State, targets: Floats, h: float, again: in
     copy(state.x, state.x_start)
     copy(state.v_base, state.v)
     integrate(model, state, targets, h)
-    kinematics(model, state)
+    deform(model, state)
     if model.projection != NONE:
         find_bounded(model, state)
+
+
+@stage
+def deform(model: Model, state: State) -> None:
+    """R and E of every tetrahedron at the state's positions; U, s, V for limits on principal stretches."""
+    kinematics(model, state)
+    if state.principal.F.shape[0] > 0:
+        apart.decompose(model, state)
 
 
 @stage

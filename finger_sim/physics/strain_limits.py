@@ -32,9 +32,10 @@ from numpy.typing import ArrayLike
 from ..arrays import Floats, Ints
 from .compile import kernel, stage
 from .dilatation import mean_strains, patch_rates
-from .kinematics import signed_svd
 from .methods import HYPERBOLIC, ISOTROPIC, LINEAR, ORTHOGONAL, PROJECTIONS, TENSOR
 from .model import Model, State
+from .rows import finish_rows
+from .svd import signed_svd
 from .tensor_limit import evaluate_tensor, find_near, limit_factors
 from .work import LIMITS_SEEN
 
@@ -237,12 +238,21 @@ def strain_ratio(model: Model, state: State) -> None:
         ratio[t] = worst
 
 
-@stage
-def limit_rows(model: Model, state: State, h: float, rows: int) -> int:
+@kernel
+def limit_rows(model: Model, state: State, h: float, contacts: int) -> int:
     """Append the rows that are near their limit, now or at the end of the step; return the number of rows.
 
-    Writes state.J (rows, 4, 4) [1/m], row_slot, row_part, constant C + h J v at state.v, and the row's key:
-    tetrahedron, i, j and side; the rest is for `finish_rows`. -1 when the arrays hold no more rows.
+    -1 when the arrays hold no more rows.
+    """
+    rows = near_rows(model, state, h, contacts)
+    finish_rows(model, state, h, contacts, rows if rows >= 0 else state.lam.shape[0])
+    return rows
+
+
+@stage
+def near_rows(model: Model, state: State, h: float, rows: int) -> int:
+    """What `limit_rows` returns; of the rows state.J (rows, 4, 4) [1/m], row_slot, row_part, constant C + h J v at
+    state.v, and the row's key: tetrahedron, i, j and side. The rest is for `finish_rows`.
     """
     p, q = state.principal.P[0], state.principal.P[1]
     margin = _MARGIN if model.limit_compliance > 0.0 else _RIGID_MARGIN

@@ -7,13 +7,14 @@ from typing import Any
 
 from numba.extending import overload
 
-from .compile import FASTMATH, shared
+from .compile import FASTMATH, formula, stage
 from .rotations import Quaternion, angle, matrix_entries, normalised, rotation_vector, slerp
 
 __all__ = ["Quaternion", "angle", "matrix_entries", "normalised", "rotation_vector", "slerp"]
 
-for _function in (angle, matrix_entries, normalised, rotation_vector, slerp):
-    shared(_function)
+formula(matrix_entries)
+for _function in (angle, normalised, rotation_vector, slerp):
+    stage(_function)
 
 
 @overload(math.hypot, jit_options={"error_model": "numpy", "fastmath": FASTMATH})  # type: ignore[untyped-decorator]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..arrays import Floats, Ints
 from .compile import formula, stage
-from .lanes import Lanes, lane, load4, splat4, store4, sum3, sums3
+from .lanes import Lanes, lane, load4, load8, splat4, store4, store8, sum3, sums3
 
 
 @formula
@@ -61,6 +61,14 @@ def copy_first(out: Floats, values: Floats, count: int) -> None:
     """out[:count] = values[:count], of plain numbers."""
     for k in range(count):
         out[k] = values[k]
+
+
+@formula
+def copy8(out: Floats, values: Floats, groups: int) -> None:
+    """out = values, so many numbers of each tetrahedron, in lanes: (B, 8) or (B, groups, 8)."""
+    for b in range(out.shape[0]):
+        for k in range(groups):
+            store8(out, b, k, load8(values, b, k))
 
 
 @stage

@@ -35,7 +35,7 @@ RATE = 1000.0
 """Steps a second [Hz]."""
 FOLDER = "finger_sim_demo"
 READY_TIMEOUT = 300.0
-"""Longest time that a node may take to its first step [s]; compiling takes a minute or two."""
+"""Longest time that a node may take to its first step [s]; compiling takes up to a minute."""
 REPORT_TIMEOUT = 15.0
 """Longest time between two messages on /diagnostics of a living node [s]."""
 END_TIMEOUT = 15.0

@@ -26,15 +26,17 @@ from ..physics.turns import matrix_entries
 from ..simulation import whole
 from ..simulation.whole import ASLEEP, DONE, FALLS_ASLEEP, FIRST, Body
 from .accounts import MOST_TRANSPORT, Counted, Recent, add, count
+from .memory import bytes_at
 from .pose_bytes import LOOK, read_pose
 from .wire import (
+    ADDRESS,
+    LENGTH,
     NOTHING,
     RECEIVED,
     Clock,
     Incoming,
     Outgoing,
     fill,
-    message,
     publish,
     sleep_until,
     steady_ns,
@@ -225,7 +227,7 @@ def _take_all(live: Live) -> int:
             if size < 0:
                 heard.failure[0] = -size
                 return UNHEARD
-            data = message(incoming.messages, which)
+            data = bytes_at(incoming.messages[which, ADDRESS], incoming.messages[which, LENGTH])
             recording.put(live.recording, live.sent.topics[3 + which], heard.when[0], data, size)
             if which == COMMAND:
                 heard.commands[0] += 1
@@ -298,7 +300,7 @@ def _send(state: State, live: Live) -> None:
         if failure != 0:
             sent.failure[0] = failure
             live.told[0] |= UNSENT
-        data = message(live.outgoing.messages, which)
+        data = bytes_at(live.outgoing.messages[which, ADDRESS], live.outgoing.messages[which, LENGTH])
         recording.put(live.recording, sent.topics[which], begun, data, data.shape[0])
     if heard.fresh[0] != 0:
         heard.fresh[0] = 0

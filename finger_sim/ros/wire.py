@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from ..arrays import Bytes, Floats, Ints
 from ..bags.template import STAMP_OFFSET
-from ..physics.compile import formula, kernel, stage
+from ..physics.compile import kernel, stage
 from .memory import bytes_at, call, write_float64, write_int32
 
 NOTHING = -401
@@ -105,12 +105,6 @@ def sleep_until(clock: Clock, when: int) -> int:
     return call(clock.nanosleep, (_STEADY, _ABSOLUTE, clock.time.ctypes.data, 0))
 
 
-@formula
-def message(messages: Ints, k: int) -> Bytes:
-    """The bytes of message k of an Outgoing or an Incoming, where they are now."""
-    return bytes_at(messages[k, ADDRESS], messages[k, LENGTH])
-
-
 @stage
 def write_stamp(data: Bytes, at: int, time: int) -> None:
     """A time [ns] as a builtin_interfaces/Time at byte `at`; 0 up to 2³¹ s."""
@@ -128,7 +122,7 @@ def write_numbers(data: Bytes, at: int, numbers: Floats) -> None:
 @stage
 def fill(outgoing: Outgoing, k: int, time: int, numbers: Floats) -> None:
     """Time of its header [ns], and first block of numbers (m,), of message k."""
-    data = message(outgoing.messages, k)
+    data = bytes_at(outgoing.messages[k, ADDRESS], outgoing.messages[k, LENGTH])
     write_stamp(data, STAMP_OFFSET, time)
     write_numbers(data, outgoing.numbers[k], numbers)
 
@@ -146,8 +140,8 @@ def publish(outgoing: Outgoing, k: int) -> int:
 def take(incoming: Incoming, k: int) -> int:
     """Takes the oldest message that lies in subscription k, and gives its length in bytes.
 
-    It is `message(incoming.messages, k)` then, and infos[k] tells when it was SENT and RECEIVED. Negative: NOTHING, or
-    the code of rcl's failure times -1; or UNFIT, where the message is there, but infos is of no use.
+    Its ADDRESS and LENGTH are in messages[k] then, and infos[k] tells when it was SENT and RECEIVED. Negative: NOTHING,
+    or the code of rcl's failure times -1; or UNFIT, where the message is there, but infos is of no use.
     """
     to, info = incoming.messages[k].ctypes.data, incoming.infos[k].ctypes.data
     failure = call(incoming.take, (incoming.subscriptions[k], to, info, 0))

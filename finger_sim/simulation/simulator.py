@@ -20,7 +20,7 @@ from ..haptics.sending import KERNELS as SENDING_KERNELS
 from ..haptics.sending import load
 from ..physics.clock import STAGES
 from ..physics.compile import compiling
-from ..physics.ready import KERNELS, measure_strains, ready, refresh
+from ..physics.ready import kernels, measure_strains, ready, refresh
 from ..physics.records import direct, held
 from ..physics.rotations import matrix
 from ..physics.work import WORK
@@ -96,7 +96,7 @@ class Simulator:
         self.set_down_by = 0.0
         """How far above its command the last reset put the body, as it would have been in the plane [m]."""
         self._touch = touch
-        with compiling(tell, (*KERNELS, *DRIVE_KERNELS, *GROUND_KERNELS, *STEP_KERNELS, *SENDING_KERNELS)):
+        with compiling(tell, (*kernels(self._model), *DRIVE_KERNELS, *GROUND_KERNELS, *STEP_KERNELS, *SENDING_KERNELS)):
             self._drive = Drive(
                 scene.initial_pose, self._rest_driven, self._centre if self._driven else None, self._yields,
                 self._state.target, self._ground.table,

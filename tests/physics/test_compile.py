@@ -9,84 +9,23 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
 import llvmlite.binding
 import numba
 import pytest
+from kernel_package import BOTH, PACKAGE, START, finish, said, start, tiny
 from numba.core.dispatcher import Dispatcher
 
 from finger_sim.physics import compile as compiling
 from finger_sim.physics import folders, progress, sources
-from finger_sim.physics.ready import KERNELS
+from finger_sim.physics.methods import ISOTROPIC, PGS
+from finger_sim.physics.ready import kernels
 from finger_sim.simulation.ground import KERNELS as GROUND
+from finger_sim.simulation.whole import KERNELS as STEP
 
-PACKAGE = Path(compiling.__file__).parents[1]
 NAME, OTHER = "0123456789abcdef", "fedcba9876543210"
-
-
-def tiny(root: Path) -> Path:
-    """A package of that name with a kernel, its callee in another file and a constant outside physics/."""
-    physics = root / "finger_sim" / "physics"
-    physics.mkdir(parents=True)
-    for name in ("atomics", "compile", "folders", "kept", "lanes", "lowering", "progress", "sources"):
-        shutil.copy(PACKAGE / "physics" / f"{name}.py", physics)
-    shutil.copy(PACKAGE / "arrays.py", physics.parent)
-    for file in (physics / "__init__.py", physics.parent / "__init__.py", physics.parent / "apart.py"):
-        file.touch()
-    (physics.parent / "numbers.py").write_text("TEN = 10.0\n")
-    (physics.parent / "late").mkdir()
-    (physics.parent / "late" / "three.py").touch()
-    (physics.parent / "late" / "four.py").touch()
-    (physics.parent / "late" / "__init__.py").write_text(
-        "from typing import TYPE_CHECKING\n\n"
-        "if TYPE_CHECKING:\n    from .three import THREE\n    from .four import FOUR\n"
-        "def __getattr__(name):\n    return 3.0\n"
-    )
-    (physics / "callee.py").write_text(
-        "from .compile import stage\n\n@stage\ndef twice(x):\n    return 2.0 * x\n",
-    )
-    (physics / "step.py").write_text(
-        "from ..late import THREE\n"
-        "from ..numbers import TEN\nfrom .callee import twice\nfrom .compile import kernel\n\n"
-        "@kernel\ndef step(x):\n    return TEN + twice(x)\n",
-    )
-    return physics.parent
-
-
-START = """
-import sys
-from finger_sim.physics.compile import cache_folder, compiled_before, compiling
-from finger_sim.physics.step import step
-with compiling(lambda text: print(text, flush=True)):
-    sys.stdin.readline()
-    print(step(1.0))
-print(sum(step.stats.cache_hits.values()), compiled_before(), cache_folder())
-"""
-
-
-def start(package: Path, cache: Path, code: str = START) -> subprocess.Popen[str]:
-    """A process that says what it does, warnings among it, and waits for a line before it calls the kernel."""
-    return subprocess.Popen(
-        [sys.executable, "-c", code],
-        env=os.environ | {"PYTHONPATH": str(package.parent), "NUMBA_CACHE_DIR": str(cache), "NUMBA_DISABLE_JIT": "0"},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        cwd=package.parent,
-    )
-
-
-def said(process: subprocess.Popen[str]) -> str:
-    assert process.stdout is not None
-    return process.stdout.readline()
-
-
-def finish(process: subprocess.Popen[str]) -> list[str]:
-    out, _ = process.communicate("\n", timeout=100)
-    assert process.returncode == 0, out
-    return out.splitlines()
 
 
 def files(folder: Path) -> dict[str, int]:
@@ -100,7 +39,7 @@ def test_kernels_go_by_content_not_by_place_and_time(tmp_path: Path) -> None:
     hits, before, folder = last.split()
     assert (told.split(":")[0], value, hits, before) == ("compiling kernels", "12.0", "0", "True")
     made = files(Path(folder))
-    assert len(made) == 4
+    assert len(made) == 2  # of the kernel; its callee's code is in it
     second = Path(shutil.copytree(first, tmp_path / "second" / "finger_sim"))
     for path in second.rglob("*.py"):
         os.utime(path, (1e9, 1e9))
@@ -141,6 +80,29 @@ def test_exact_functions_round_as_python_does() -> None:
         assert any(fused(a, a * a) for a in numbers)
 
 
+def whole(x: float) -> float:
+    return 2.0 * x
+
+
+compiling._into_callers(whole, _dbg_optnone=True)  # called, not inlined
+
+
+def test_a_kernel_has_no_other_name_outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second version of a stage, in another kernel of the process, is not called from the first one."""
+    monkeypatch.setattr(compiling, "cache_folder", lambda: None)
+    names: dict[str, Any] = {"whole": whole}
+    exec("def outer(x):\n    return whole(x) + 1.0", names)
+    outer = compiling.kernel(names["outer"])
+    assert outer(1.0) == 3.0
+    if not numba.config.DISABLE_JIT:
+        (compiled,) = outer.overloads.values()
+        linkages = {each.name: each.linkage for each in compiled.library.get_defined_functions()}
+        own = {compiled.fndesc.llvm_func_name, compiled.fndesc.llvm_cpython_wrapper_name}
+        assert len(linkages) == 3
+        assert {linkages.pop(name) for name in own} == {llvmlite.binding.Linkage.external}
+        assert {*linkages.values()} == {llvmlite.binding.Linkage.internal}
+
+
 def test_sources_are_those_that_imports_lead_to(tmp_path: Path) -> None:
     """Of the real package: everything that importing the kernels loads, and nothing of ROS or the studies."""
     package = tiny(tmp_path)
@@ -176,7 +138,7 @@ def test_two_first_starts_compile_once(tmp_path: Path, killed: bool) -> None:
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """The package and a cache that it filled: for tests that change the cache, to copy."""
     root = tmp_path_factory.mktemp("compiled")
-    finish(start(tiny(root / "package"), root / "cache"))
+    finish(start(tiny(root / "package"), root / "cache", BOTH))
     return root / "package" / "finger_sim", root / "cache"
 
 
@@ -189,7 +151,7 @@ def the_file(cache: Path, kind: str) -> Path:
 def test_a_damaged_cache_is_compiled_anew_and_said_once(tmp_path: Path, compiled: tuple[Path, Path]) -> None:
     """All files that are damaged go, also those that this start does not load; the next start finds a whole folder."""
     package, cache = compiled[0], Path(shutil.copytree(compiled[1], tmp_path / "cache"))
-    for file in (the_file(cache, "nbi"), *cache.glob("finger_sim/*/*.twice-*.nbc")):
+    for file in (the_file(cache, "nbi"), *cache.glob("finger_sim/*/*.other-*.nbc")):
         file.write_bytes(b"")
     first, damage, anew, value, last = finish(start(package, cache))
     assert first == "loading compiled kernels"
@@ -199,7 +161,7 @@ def test_a_damaged_cache_is_compiled_anew_and_said_once(tmp_path: Path, compiled
     folder = Path(last.split()[2])
     assert (value, last) == ("12.0", f"0 True {folder}")
     made = files(folder)
-    assert len(made) == 4
+    assert len(made) == 3  # two of the kernel, and the index of the other one
     assert all(path.stat().st_size for path in folder.glob("*.nb*"))
     assert finish(start(package, cache)) == ["loading compiled kernels", "12.0", f"1 True {folder}"]
     assert files(folder) == made
@@ -390,19 +352,22 @@ def test_without_any_folder_kernels_are_compiled_and_not_kept(
     with compiling.compiling(told.append, [outer]):
         assert outer(1.0) == 4.0
     assert told == [
-        "compiling kernels: a minute or two, not kept", "compiling kernels: 50 % of 2", "compiling kernels: 100 % of 2"
+        "compiling kernels: up to a minute, not kept", "compiling kernels: 50 % of 2", "compiling kernels: 100 % of 2"
     ]  # fmt: skip
 
 
 def test_what_is_told_to_compile_is_all_that_a_start_compiles() -> None:
-    """Every kernel of physics/ is counted, but for two: one is done by then, one is for users to call."""
-    counted = progress.called(kernel.py_func for kernel in (*KERNELS, *GROUND))
+    """Every function of physics/ is counted, but for two: one is done by then, one is for users to call."""
+    paper: Any = SimpleNamespace(method=PGS, projection=ISOTROPIC)
+    counted = progress.called(kernel.py_func for kernel in (*kernels(paper), *GROUND, *STEP))
     known = {
-        value.py_func
+        function
         for name, module in list(sys.modules.items())
         if name.startswith("finger_sim.physics.")
         for value in vars(module).values()
-        if isinstance(value, Dispatcher)
+        if isinstance(value, Dispatcher | FunctionType)
+        for function in [getattr(value, "py_func", value)]
+        if isinstance(value, Dispatcher) or function in progress._in_callers
     }
     assert {function.__name__ for function in known - counted} == {"limit_factors", "evaluate_tensor"}
     assert {function for function in counted if function.__module__.startswith("finger_sim.physics.")} <= known

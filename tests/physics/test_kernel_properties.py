@@ -20,9 +20,9 @@ from finger_sim import Pose, Scene, Simulator
 from finger_sim.haptics.coupling import between, device_wrench, follow
 from finger_sim.physics import linear_solver
 from finger_sim.physics.contact import plane_frame
-from finger_sim.physics.kinematics import signed_svd
 from finger_sim.physics.rotations import angle, matrix, normalised
 from finger_sim.physics.strain_limits import evaluate
+from finger_sim.physics.svd import signed_svd
 from finger_sim.scene import Coupling, Limits
 from finger_sim.scene.mesh import TetMesh
 from finger_sim.scene.meshing import beam

@@ -15,11 +15,11 @@ from numpy.testing import assert_allclose
 from physics_helpers import Array, finger_scene, random_F
 from scipy.spatial.transform import Rotation
 
-from finger_sim.physics import kinematics, rotations
+from finger_sim.physics import rotations, svd
 
 
 def decomposed(F: Array) -> tuple[Array, Array, Array]:
-    return kinematics.signed_svd(np.asarray(F, dtype=np.float64))
+    return svd.signed_svd(np.asarray(F, dtype=np.float64))
 
 
 def check_decomposition(F: Array) -> Array:
@@ -110,9 +110,9 @@ def test_deformation_gradient_of_every_tetrahedron() -> None:
     model = build_model(scene, mesh)
     x = mesh.points + 1e-3 * np.random.default_rng(1).standard_normal(mesh.points.shape)
     F = np.empty((len(mesh.tets), 3, 3))
-    kinematics.deformation_gradient(model.tets, model.gradients, x, F)
+    svd.deformation_gradient(model.tets, model.gradients, x, F)
     assert_allclose(F, naive.Body.of(scene, mesh).deformation(x), rtol=0, atol=1e-11)
-    kinematics.deformation_gradient(model.tets, model.gradients, np.array(mesh.points), F)
+    svd.deformation_gradient(model.tets, model.gradients, np.array(mesh.points), F)
     assert_allclose(F, np.swapaxes(turned, 1, 2), rtol=0, atol=1e-12)  # at rest: its columns are the axes
 
 

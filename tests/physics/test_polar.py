@@ -6,7 +6,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import naive
-import numba
 import numpy as np
 import pytest
 from cases import for_each
@@ -17,6 +16,7 @@ from physics_helpers import Array, beam_scene, random_F
 from scipy.spatial.transform import Rotation
 
 from finger_sim.physics import polar
+from finger_sim.physics.compile import kernel
 from finger_sim.physics.lanes import load8, store8
 from finger_sim.physics.ready import ready, refresh
 from finger_sim.physics.workspace import build_state
@@ -164,7 +164,7 @@ def test_a_nan_is_forgotten() -> None:
     check(F, TETS.decompose(F)[0])
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def iterate(F: Array, quaternion: Array) -> tuple[int, int]:
     """One iteration of Newton on eight lanes: which of them are lost, and which far."""
     q = load8(quaternion, 0, 0), load8(quaternion, 0, 1), load8(quaternion, 0, 2), load8(quaternion, 0, 3)

@@ -6,7 +6,6 @@ import itertools
 from typing import Any
 
 import naive
-import numba
 import numpy as np
 import pytest
 from cases import for_each
@@ -17,6 +16,7 @@ from physics_helpers import Array, assert_derivative, beam_scene, finger_scene, 
 from scipy.spatial.transform import Rotation
 
 from finger_sim import Simulator
+from finger_sim.physics.compile import kernel
 from finger_sim.physics.jacobi import load_symmetric
 from finger_sim.physics.lanes import store8
 from finger_sim.physics.strain_limits import evaluate
@@ -238,7 +238,7 @@ def test_the_clamp_bounds_gradients() -> None:
             assert np.isfinite(gradients).all()
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def bound_of(B: Array) -> Any:
     """`upper_bound` of eight symmetric matrices (1, 6, 8)."""
     out = np.empty((1, 8))

@@ -27,6 +27,7 @@ from finger_sim.physics.records import held
 from finger_sim.ros import endpoints as ends
 from finger_sim.ros import rcl, rclpy_private, wire
 from finger_sim.ros.endpoints import Endpoints
+from finger_sim.ros.memory import bytes_at
 from finger_sim.ros.messages import pose_template, wrench_template
 from finger_sim.ros.pose_bytes import LOOK, frame_bytes, read_pose
 
@@ -59,7 +60,8 @@ def hear(incoming, frame, pose, received):
     if length < 0:
         return length
     received[0] = incoming.infos[0, wire.RECEIVED]
-    return read_pose(wire.message(incoming.messages, 0), frame, pose)
+    data = bytes_at(incoming.messages[0, wire.ADDRESS], incoming.messages[0, wire.LENGTH])
+    return read_pose(data, frame, pose)
 
 
 class Streaming:
