@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numba
@@ -12,6 +13,7 @@ from numba.extending import overload
 
 from ..arrays import Floats
 from .apart import bound, needed_by
+from .beside import compiled_beside
 from .kinematics import kinematics
 from .methods import NONE, TENSOR
 from .model import Model, State
@@ -29,6 +31,18 @@ _REST = (types.float64[:, ::1], types.float64)
 def kernels(model: Model) -> tuple[Any, ...]:
     """What `advance`, `refresh` and `measure_strains` call for a model."""
     return (step, kinematics, find_bounded, strain_ratio, all_strains, *needed_by(model).values())
+
+
+@contextlib.contextmanager
+def step_beside(model: Model, state: State) -> Iterator[None]:
+    """A block for what does not need the step: meanwhile a second process compiles it, where it is not there yet."""
+    if numba.config.DISABLE_JIT:
+        yield
+        return
+    kinds = (Pointed(model).kind, Pointed(state).kind)
+    with compiled_beside(step, (*kinds, *_REST)):
+        bound(model, kinds)
+        yield
 
 
 class Ready(NamedTuple):

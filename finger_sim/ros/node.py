@@ -174,9 +174,11 @@ class FingerNode(Node):  # type: ignore[misc]
 
     def _prepare(self) -> None:
         """The loop thread's way to its first step."""
-        self._stepper.prepare(self._on_progress)
         if isinstance(self._loop, Ticker):
+            self._stepper.prepare(self._on_progress, self._loop.compile)
             self._loop.load(self._on_progress)
+        else:
+            self._stepper.prepare(self._on_progress)
         if self._outputs.options.record:
             self._record(bag_path("record", self._outputs.options.record))
         priority = self._place_this_thread(self._outputs.options.realtime_priority)

@@ -11,7 +11,7 @@ from ..haptics.budget import Budget, Rung, usable
 from ..haptics.rendering import NO_WRENCH
 from ..haptics.sending import BACK, BECAME_STALE, Sender
 from ..scene import Pose, Scene
-from ..simulation.simulator import Simulator
+from ..simulation.simulator import Compiled, Simulator
 from .accounts import Recent, Window
 from .inbox import Command
 from .messages import time_of
@@ -55,9 +55,9 @@ class Stepper:
         self._shifted: Pose | None = None
         self._zero = 0  # receipt of the command that placed the finger [ns]: times are counted from it
 
-    def prepare(self, progress: Callable[[str], None]) -> None:
-        """Loads mesh and kernels. Raises FingerSimError."""
-        self.sim = Simulator(self.scene, progress=progress)
+    def prepare(self, progress: Callable[[str], None], meanwhile: Callable[[Compiled], None] | None = None) -> None:
+        """Loads mesh and kernels; meanwhile: see Simulator. Raises FingerSimError."""
+        self.sim = Simulator(self.scene, progress=progress, meanwhile=meanwhile)
         for note in self.sim.mesh.notes:
             self._log.warning(f"{self.scene.mesh.file}: {note}")
         self._take_budget()

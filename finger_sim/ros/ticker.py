@@ -11,13 +11,14 @@ import numpy as np
 from numba import types
 
 from ..arrays import Ints
-from ..bags.recording import no_recording
+from ..bags.recording import Recording, no_recording
 from ..errors import FingerSimError
-from ..haptics.budget import build_purse
+from ..haptics.budget import Purse, build_purse
 from ..haptics.path import numbers, pose_of
 from ..physics.compile import compiling
 from ..physics.records import direct, held
 from ..scene import Pose
+from ..simulation.simulator import Compiled
 from . import tick
 from .accounts import Window, nothing_counted
 from .endpoints import Endpoints
@@ -55,6 +56,12 @@ class Ticker(RateLoop):
         self._compiled = False
         self._wake = self._ask
         self._endpoints = Endpoints(self._outputs.stepped(), self._inbox.subscriptions)
+
+    def compile(self, compiled: Compiled) -> None:
+        """Compiles what will step, for the types of a Simulator to be, where it is not there yet."""
+        if not self._lack():
+            self._make()
+            self._bind(compiled, self._parts(compiled, None, None))
 
     def load(self, tell: Callable[[str], None]) -> None:
         """Compiles or loads what steps, once there is a Simulator; or says why Python makes them."""
@@ -120,7 +127,15 @@ class Ticker(RateLoop):
         return self._endpoints.lack
 
     def _begin(self) -> None:
-        """The loop is compiled code's: what came before is handed over."""
+        """The loop is compiled code's."""
+        self._make()
+        self._arranged: tuple[Any, ...] = ()
+        self._arrange()
+        self._inbox.also = self._heard.commands
+        self._compiled = True
+
+    def _make(self) -> None:
+        """The parts of what compiled code works on that are its own."""
         options = self._outputs.options
         self._heard = Heard(
             newest=np.zeros(7), received=_one(), stamp=_one(), transport=np.zeros(1), before=np.zeros(7), fresh=_one(),
@@ -130,10 +145,6 @@ class Ticker(RateLoop):
         axes = {"world_aligned": tick.WORLD_ALIGNED, "finger": tick.FINGER, "world": tick.WORLD}[options.wrench_frame]
         self._sent = Sent(np.zeros(6), np.zeros(6), np.array([axes]), np.zeros(5, np.int64), _one(), _one())
         self._flow, self._counted = (_one(), _one(), _one(), _one()), nothing_counted()
-        self._arranged: tuple[Any, ...] = ()
-        self._arrange()
-        self._inbox.also = self._heard.commands
-        self._compiled = True
 
     def _set_out(self) -> None:
         """What came before the first step, and when that is."""
@@ -159,27 +170,33 @@ class Ticker(RateLoop):
 
     def _arrange(self) -> None:
         """What compiled code works on, as it is now."""
-        stepper, outputs, endpoints = self._stepper, self._outputs, self._endpoints
+        stepper, outputs = self._stepper, self._outputs
         stepper.allow(outputs.options)
         recorder, compiled = outputs.recorder, stepper.sim.compiled
         recording = recorder.loop if recorder is not None else None
         purse = stepper.budget.purse if stepper.budget is not None else None
         if self._arranged and all(a is b for a, b in zip(self._arranged, (recording, compiled, purse), strict=True)):
             return
-        assert endpoints.incoming is not None
-        assert endpoints.outgoing is not None
         if recorder is not None:
             self._sent.topics[:] = [recorder.number(name) for name in (*outputs.stepped_topics, *self._inbox.topics)]
-        self._live = Live(
-            *self._flow, endpoints.incoming.clock, self._grid, self._heard, self._sent, compiled.body,
-            stepper.sender.record, purse or build_purse(), endpoints.incoming, endpoints.outgoing,
-            recording or no_recording(), self._counted, self.step_time, self.lateness, stepper.delay, stepper.transport,
+        self._bind(compiled, self._parts(compiled, recording, purse))
+        self._arranged = (recording, compiled, purse)
+
+    def _parts(self, compiled: Compiled, recording: Recording | None, purse: Purse | None) -> Live:
+        incoming, outgoing, stepper = self._endpoints.incoming, self._endpoints.outgoing, self._stepper
+        assert incoming is not None
+        assert outgoing is not None
+        return Live(
+            *self._flow, incoming.clock, self._grid, self._heard, self._sent, compiled.body, stepper.sender.record,
+            purse or build_purse(), incoming, outgoing, recording or no_recording(), self._counted, self.step_time,
+            self.lateness, stepper.delay, stepper.transport,
         )  # fmt: skip
-        self._held = held(self._live)
+
+    def _bind(self, compiled: Compiled, live: Live) -> None:
+        self._live, self._held = live, held(live)
         self._arguments = (compiled.address, compiled.model, compiled.state, self._held)
         self._function = direct(tick.run, types.int64, *self._arguments[1:])
         self._hear = direct(tick.hear, self._held, types.int64, types.int64, types.float64)
-        self._arranged = (recording, compiled, purse)
 
     def _look(self) -> None:
         """A message that is not the usual one."""

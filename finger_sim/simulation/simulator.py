@@ -20,7 +20,8 @@ from ..haptics.sending import KERNELS as SENDING_KERNELS
 from ..haptics.sending import load
 from ..physics.clock import STAGES
 from ..physics.compile import compiling
-from ..physics.ready import kernels, measure_strains, ready, refresh
+from ..physics.ready import kernels as ready_kernels
+from ..physics.ready import measure_strains, ready, refresh, step_beside
 from ..physics.records import direct, held
 from ..physics.rotations import matrix
 from ..physics.work import WORK
@@ -71,10 +72,20 @@ class Simulator:
     `progress` is told in short texts what is going on while kernels compile or load.
     `timed`: steps measure their stages (`stage_seconds`), which costs them a few clock readings.
     `touch`: results hold contact area, centre of pressure and slip (`StepResult.touch`).
+    `meanwhile` is called while a second process may compile the step, to compile what else is needed with the
+    Simulator: it is told what the types of `compiled` will be, in which there is no step yet.
     Raises MeshError when the scene's mesh cannot be used.
     """
 
-    def __init__(self, scene: Scene, progress: Tell | None = None, *, timed: bool = False, touch: bool = False) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        progress: Tell | None = None,
+        *,
+        timed: bool = False,
+        touch: bool = False,
+        meanwhile: Callable[[Compiled], None] | None = None,
+    ) -> None:
         tell = progress or (lambda text: None)
         self.scene = scene
         self.mesh: TetMesh = scene.load_mesh()
@@ -96,20 +107,26 @@ class Simulator:
         self.set_down_by = 0.0
         """How far above its command the last reset put the body, as it would have been in the plane [m]."""
         self._touch = touch
-        with compiling(tell, (*kernels(self._model), *DRIVE_KERNELS, *GROUND_KERNELS, *STEP_KERNELS, *SENDING_KERNELS)):
-            self._drive = Drive(
-                scene.initial_pose, self._rest_driven, self._centre if self._driven else None, self._yields,
-                self._state.target, self._ground.table,
-            )  # fmt: skip
-            self._body = build_body(self._drive.lead, self._ground.table, guard, self._state.result)
-            self._held = held(self._body)
-            self._place(scene.initial_pose)
+        kernels = (*ready_kernels(self._model), *DRIVE_KERNELS, *GROUND_KERNELS, *STEP_KERNELS, *SENDING_KERNELS)
+        with compiling(tell, kernels):
+            with step_beside(self._model, self._state):
+                self._drive = Drive(
+                    scene.initial_pose, self._rest_driven, self._centre if self._driven else None, self._yields,
+                    self._state.target, self._ground.table,
+                )  # fmt: skip
+                self._body = build_body(self._drive.lead, self._ground.table, guard, self._state.result)
+                self._held = held(self._body)
+                self._place(scene.initial_pose)
+                load()
+                model, state = held(self._model), held(self._state)
+                direct(whole.advance, *self._advanced(model, state))
+                if meanwhile is not None:
+                    meanwhile(Compiled(0, model, state, self._body))
             self._use(scene)
             # Every kernel that a run will call is compiled or loaded here.
             self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
             self._run(math.nan, FIRST)
             measure_strains(self._ready)
-            load()
         self.reset(scene.initial_pose)
         tell("ready")
 
@@ -323,19 +340,21 @@ class Simulator:
 
     def _use(self, scene: Scene) -> None:
         """The live values of a scene."""
-        body, address = self._body, types.int64
+        body = self._body
         self._model = with_live_values(self._model, scene)
         self._ready = ready(self._model, self._state)
         self.compiled = Compiled(self._ready.address, self._ready.model, self._ready.state, self._body)
         """What compiled code steps; another one after `apply` and `solve_with`."""
-        self._advance = direct(
-            whole.advance, address, self._ready.model, self._ready.state, self._held, types.float64, types.int64
-        )
+        self._advance = direct(whole.advance, *self._advanced(self._ready.model, self._ready.state))
         body.dt[0], body.substeps[0], body.mode[0] = scene.dt, scene.substeps, MODES[scene.coupling.following]
         self._drive.allow(scene.coupling)
         self._ground.allow(scene.coupling)
         self._state.age[0] = 0
         wake(body.guard)
+
+    def _advanced(self, model: Any, state: Any) -> tuple[Any, ...]:
+        """What whole.advance takes, with numba's types of numbers."""
+        return types.int64, model, state, self._held, types.float64, types.int64
 
     def _move_rigidly(self, before: Pose, after: Pose, h: float) -> None:
         """After a rejected step: every node goes with the bone; a body whose bone yields, or that has none, stops."""

@@ -79,7 +79,7 @@ def test_what_the_file_of_a_mesh_lost_is_logged(monkeypatch: pytest.MonkeyPatch)
     """Each note as a warning that names the file."""
     warned: list[str] = []
     made: Any = SimpleNamespace(mesh=SimpleNamespace(notes=("2 nodes left out", "it is 10 m long")))
-    monkeypatch.setattr("finger_sim.ros.stepper.Simulator", lambda scene, progress: made)
+    monkeypatch.setattr("finger_sim.ros.stepper.Simulator", lambda scene, progress, meanwhile: made)
     monkeypatch.setattr(Stepper, "_take_budget", lambda _: None)
     scene, outputs = small("finger_coupled"), SimpleNamespace(prepare=lambda mesh: None)
     clock: Any = None
