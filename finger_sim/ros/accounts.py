@@ -11,7 +11,6 @@ from ..arrays import Floats, Ints
 from ..physics import step as stepping
 from ..physics.compile import stage
 from ..physics.step import Status
-from ..simulation.result import StepResult
 from ..simulation.whole import Body
 
 KEPT = 4096
@@ -119,23 +118,6 @@ class Window:
     """Steps with a status bit set."""
     doubtful: int = 0
     """Steps with one of DOUBTFUL set."""
-
-    def add(self, out: StepResult) -> None:
-        """One step more."""
-        self.steps += 1
-        self.iterations = max(self.iterations, out.iterations)
-        self.residual = max(self.residual, out.residual)
-        self.limit_rows = max(self.limit_rows, out.limit_rows)
-        self.limited_tets = max(self.limited_tets, out.limited_tets)
-        self.locked_tets = max(self.locked_tets, out.locked_tets)
-        self.contacts = max(self.contacts, out.contacts)
-        self.asleep += out.asleep
-        self.max_strain_ratio = max(self.max_strain_ratio, out.max_strain_ratio)
-        self.max_penetration = max(self.max_penetration, out.max_penetration)
-        if out.status:
-            self.status |= out.status
-            self.troubled += 1
-            self.doubtful += bool(out.status & DOUBTFUL)
 
     @classmethod
     def of(cls, counted: Counted) -> Window:

@@ -1,4 +1,4 @@
-"""Publishers with the messages that they send, and subscriptions: for compiled code where rcl fits, and for Python."""
+"""Publishers with the messages that they send, and subscriptions: for compiled code where rcl fits, else for Python."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..errors import FingerSimError
 from ..physics.records import direct, held
 from . import rclpy_private
 from .memory import bytes_at
-from .rcl import Rcl, find, listed, meaning
+from .rcl import Rcl, clock, find, listed, meaning
 from .rclpy_private import Taken
 from .wire import (
     ADDRESS,
@@ -43,9 +43,9 @@ ROOM = 512
 class Endpoints:
     """Sends the messages of Templates as they are filled, and takes what comes; of one thread at a time.
 
-    outgoing, incoming : for wire.publish and wire.take, and for records of which they become part; None where rcl
-                         does not fit. Then, and in any case from Python, use `send` and `take`.
-    lack               : why they are None, for a user
+    outgoing, incoming : for wire.publish and wire.take, and for records of which they become part
+    lack               : why rcl does not fit, for a user; empty: it does. Where it does not, compiled code can fill
+                         messages, but neither publish nor take: use `send` and `take`, which work in any case.
 
     Until `release` the handles of rclpy cannot end, whoever destroys publisher, node or context: compiled code must
     have come to its end before that. Afterwards the records hold no address of an endpoint: what they send fails. Who
@@ -54,8 +54,6 @@ class Endpoints:
 
     def __init__(self, outgoing: Sequence[tuple[Any, Template]], incoming: Sequence[Any] = ()) -> None:
         """Publishers and what they send, and subscriptions that are raw; both are numbered in this order."""
-        self.outgoing: Outgoing | None = None
-        self.incoming: Incoming | None = None
         self.lack = ""
         self._publishers, self._templates = [p for p, _ in outgoing], [t for _, t in outgoing]
         self._subscriptions = list(incoming)
@@ -64,13 +62,14 @@ class Endpoints:
             self._hold(find(), keep)
         except FingerSimError as error:
             keep.close()
-            self._fall_back(str(error))
+            self.lack = str(error)
+            self._hold(None, keep)
         self.release = weakref.finalize(self, keep.close)
         """Lets the handles go; what is called later does nothing."""
 
     def send(self, k: int) -> None:
         """Message k, as it was filled last. Raises FingerSimError where it cannot be sent."""
-        if self.outgoing is None:
+        if self.lack:
             try:
                 self._publishers[k].publish(self._templates[k].bytes.tobytes())
             except rclpy_private.failures() as error:
@@ -80,7 +79,7 @@ class Endpoints:
 
     def take(self, k: int) -> Taken | None:
         """The oldest message that lies in subscription k; None where there is none. Raises FingerSimError."""
-        if self.incoming is None:
+        if self.lack:
             try:
                 return rclpy_private.take(self._subscriptions[k])
             except rclpy_private.failures() as error:
@@ -97,41 +96,36 @@ class Endpoints:
 
         Where that was UNFIT, rclpy does it all from now on, and the time of receipt is the present.
         """
-        assert self.incoming is not None
         words, info = self.incoming.messages[k], self.incoming.infos[k]
         data = bytes_at(words[ADDRESS], words[LENGTH]).tobytes()
         if self.incoming.fits[0] != 0:
             return Taken(data, int(info[RECEIVED]), int(info[SENT]))
-        self._fall_back(f"rmw_message_info_t is another structure: {listed(info)}")
+        self.lack = f"rmw_message_info_t is another structure: {listed(info)}"
         return Taken(data, time.time_ns(), 0)
 
-    def _fall_back(self, lack: str) -> None:
-        self.outgoing = self.incoming = None
-        self.lack = lack
-
-    def _hold(self, rcl: Rcl, keep: contextlib.ExitStack) -> None:
-        """Makes the records; `keep` undoes all that was done. Raises FingerSimError."""
+    def _hold(self, rcl: Rcl | None, keep: contextlib.ExitStack) -> None:
+        """Makes the records, with no address where there is no rcl; `keep` undoes all. Raises FingerSimError."""
         publishers, subscriptions = (
-            np.array([rclpy_private.held_address(entity, keep) for entity in entities], np.int64)
-            for entities in (self._publishers, self._subscriptions)
+            np.zeros(len(entities), np.int64) for entities in (self._publishers, self._subscriptions)
         )
-        keep.callback(publishers.fill, 0)
-        keep.callback(subscriptions.fill, 0)
         sent, heard = (np.zeros((len(entities), WORDS), np.int64) for entities in (publishers, subscriptions))
         for words, template in zip(sent, self._templates, strict=True):
             words[ADDRESS] = template.bytes.ctypes.data
             words[LENGTH] = words[CAPACITY] = len(template.bytes)
-            words[ALLOCATOR:] = rcl.allocator
-        for words in heard:
-            rcl.make(words, ROOM)
-            keep.callback(_remove, rcl, words)
+        if rcl is not None:
+            for addresses, entities in ((publishers, self._publishers), (subscriptions, self._subscriptions)):
+                keep.callback(addresses.fill, 0)
+                addresses[:] = [rclpy_private.held_address(entity, keep) for entity in entities]
+            sent[:, ALLOCATOR:] = rcl.allocator
+            for words in heard:
+                rcl.make(words, ROOM)
+                keep.callback(_remove, rcl, words)
         infos = np.full((len(heard), 2 * WORDS), GUARDED, np.int64)
         numbers = np.array([template.blocks[0] if template.blocks else 0 for template in self._templates], np.int64)
         fits = np.zeros(1, np.int64)
-        self.outgoing = Outgoing(rcl.publish, rcl.reset_error, publishers, sent, numbers)
-        self.incoming = Incoming(
-            rcl.take, rcl.reset_error, subscriptions, heard, infos, time.time_ns(), fits, rcl.clock()
-        )
+        publish_at, take_at, reset = (rcl.publish, rcl.take, rcl.reset_error) if rcl is not None else (0, 0, 0)
+        self.outgoing = Outgoing(publish_at, reset, publishers, sent, numbers)
+        self.incoming = Incoming(take_at, reset, subscriptions, heard, infos, time.time_ns(), fits, clock())
         self._held_outgoing, self._held_incoming = held(self.outgoing), held(self.incoming)
         self._publish = direct(publish, self._held_outgoing, types.int64)
         self._take = direct(take, self._held_incoming, types.int64)

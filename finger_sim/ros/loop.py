@@ -1,10 +1,8 @@
-"""The thread of the simulation: calls one function at a fixed rate, on absolute deadlines, or once for each command.
+"""The thread of the simulation, and a loop that calls one function at a fixed rate, on absolute deadlines.
 
 RateLoop: deadlines lie at origin + k · period on the steady clock. A step that is not done at the next deadline is
 late; the step after it begins at once. Deadlines missed by more than a period are skipped and counted as
 overruns: steps are never bunched up, and time lost is never hidden.
-
-TriggeredLoop: what triggers a step waits in a bounded queue; what is dropped there is counted as an overrun.
 
 `python -m finger_sim.ros.loop PERIOD SECONDS PRIORITY` runs a loop that does nothing, and prints its StepCounts as
 JSON: what this machine allows. It needs no ROS.
@@ -22,9 +20,9 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from ..plain import printing
 from .accounts import Recent
@@ -181,62 +179,27 @@ class RateLoop(Loop):
             self._progress = StepCounts(steps, late, overruns, begun, end)
 
 
-class Waiting(Protocol):
-    """What a TriggeredLoop waits for."""
-
-    @property
-    def received(self) -> float:
-        """Steady time at which it came [s]."""
+T = TypeVar("T")
 
 
-T = TypeVar("T", bound=Waiting)
+class Triggers(Generic[T]):
+    """What waits for its step, in its order; of more than `capacity` the oldest are dropped, and counted."""
 
-
-class TriggeredLoop(Loop, Generic[T]):
-    """Calls `tick` once with everything that comes, in that order, and `idle` every IDLE_PERIOD in which nothing does.
-
-    take     : gives what has come since the last call
-    wait     : until something comes or `wake` is called; False when neither has after so many seconds
-    wake     : ends a wait, or the next one; from any thread
-    capacity : of what may wait for its tick; of more the oldest are dropped, and counted as overruns
-    """
-
-    def __init__(
-        self,
-        prepare: Callable[[], None],
-        tick: Callable[[T], None],
-        idle: Callable[[], None],
-        *,
-        take: Callable[[], list[T]],
-        wait: Callable[[float], bool],
-        wake: Callable[[], None],
-        capacity: int,
-    ) -> None:
-        super().__init__(prepare)
-        self._tick, self._idle = tick, idle
-        self._take, self._wait, self._wake = take, wait, wake
+    def __init__(self, capacity: int) -> None:
+        self.dropped = 0
+        self._waiting: deque[T] = deque()
         self._capacity = capacity
 
-    def _turn(self, origin: float) -> None:
-        waiting: deque[T] = deque()
-        steps = dropped = 0
-        while not self._stop.is_set():
-            waiting.extend(self._take())
-            while len(waiting) > self._capacity:
-                waiting.popleft()
-                dropped += 1
-            begin = time.monotonic()
-            self._answer()
-            if waiting:
-                item = waiting.popleft()
-                self._tick(item)
-                end = time.monotonic()
-                steps += 1
-                self.step_time.add(end - begin)
-                self.lateness.add(begin - item.received)
-                self._progress = StepCounts(steps, 0, dropped, origin, end)
-            elif not self._wait(IDLE_PERIOD):
-                self._idle()
+    def extend(self, come: Iterable[T]) -> None:
+        """What has come."""
+        self._waiting.extend(come)
+        while len(self._waiting) > self._capacity:
+            self._waiting.popleft()
+            self.dropped += 1
+
+    def pop(self) -> T | None:
+        """The next one."""
+        return self._waiting.popleft() if self._waiting else None
 
 
 def prefer_this_thread(priority: int) -> str | None:

@@ -44,7 +44,7 @@ from .diagnostics import Reporter
 from .given import unreached
 from .graph_watch import GraphWatch
 from .inbox import Command, Inbox
-from .loop import Loop, StepCounts, TriggeredLoop, prefer_this_thread
+from .loop import StepCounts, Triggers, prefer_this_thread
 from .messages import time_of
 from .options import NodeOptions
 from .outputs import Outputs, Shown
@@ -92,7 +92,7 @@ class FingerNode(Node):  # type: ignore[misc]
         self._standby.prepare()
         self._progress = "loading"
         self._outputs = Outputs(self, options)
-        self._stepper = Stepper(scene, self._outputs, self.get_clock(), log)
+        self._stepper = Stepper(scene, self._outputs, log)
         self._processors = parameters.processors(options.cpu_affinity)
         self._inbox = Inbox(self, self._outputs, lambda: self._stepper.scene.plane is not None)
         self._resets = RecordedTopic(str(self.resolve_service_name(f"~/{RESET}")), cdr.EMPTY, RESET_QOS)
@@ -101,20 +101,9 @@ class FingerNode(Node):  # type: ignore[misc]
         """Held while a recording begins: no option changes once it has said what they are, before it takes changes."""
         self._recorded_from = NOTHING_YET
         self._early: deque[Command] = deque(maxlen=WAITING_COMMANDS)
-        self._loop: Loop
-        if options.mode == "free":
-            parts = (self._stepper, self._outputs, self._inbox)
-            self._loop = Ticker(scene.dt, self._prepare, self._tick, parts, self.get_clock(), log)
-        else:
-            self._loop = TriggeredLoop(
-                self._prepare,
-                self._stepper.answer,
-                self._stepper.idle,
-                take=self._take_all,
-                wait=self._inbox.wait,
-                wake=self._inbox.wake,
-                capacity=WAITING_COMMANDS,
-            )
+        parts = (self._stepper, self._outputs, self._inbox)
+        triggers = Triggers[Command](WAITING_COMMANDS) if options.mode == "triggered" else None
+        self._loop = Ticker(scene.dt, self._prepare, parts, self._take_all, triggers, self.get_clock(), log)
         self.add_on_set_parameters_callback(self._on_set)
         graph = GraphWatch(self, self._inbox.subscriptions)
         self._scenery = Scenery(self._outputs, self._show)
@@ -168,17 +157,13 @@ class FingerNode(Node):  # type: ignore[misc]
             # A compiler or a step that does not come back cannot be unwound: leave it where it is.
             flush()
             os._exit(int(error is not None))
-        if isinstance(self._loop, Ticker):
-            self._loop.release()
+        self._loop.release()
         return int(error is not None)
 
     def _prepare(self) -> None:
         """The loop thread's way to its first step."""
-        if isinstance(self._loop, Ticker):
-            self._stepper.prepare(self._on_progress, self._loop.compile)
-            self._loop.load(self._on_progress)
-        else:
-            self._stepper.prepare(self._on_progress)
+        self._stepper.prepare(self._on_progress, self._loop.compile)
+        self._loop.load(self._on_progress)
         if self._outputs.options.record:
             self._record(bag_path("record", self._outputs.options.record))
         priority = self._place_this_thread(self._outputs.options.realtime_priority)
@@ -229,18 +214,13 @@ class FingerNode(Node):  # type: ignore[misc]
 
         return self._loop.call(shown)
 
-    def _tick(self) -> None:
-        """A step of mode free."""
-        now = time.monotonic_ns()
-        self._stepper.tick(now, self._take(now))
-
-    def _take_all(self) -> list[Command]:
-        """What came in, also before the loop was ready."""
+    def _take_all(self, now: int | None) -> list[Command]:
+        """What came in by a steady time [ns], or till now, and before the loop was ready."""
         early = [self._early.popleft() for _ in range(len(self._early))]
-        return early + self._take()
+        return early + self._take(now)
 
     def _take(self, now: int | None = None) -> list[Command]:
-        """What came in by a steady time [ns], or till now; the newest of it is what the next step follows."""
+        """What came in by a steady time [ns], or till now."""
         commands = self._inbox.commands(now)
         if commands:
             self._stepper.newest = commands[-1]

@@ -21,12 +21,11 @@ from ..arrays import Floats
 from ..bags import cdr
 from ..bags.changes import EVENTS, EVENTS_QOS
 from ..bags.frames import MOVING, MOVING_QOS, PLANE, STANDING, STANDING_QOS, Frames
-from ..bags.layout import express_wrench, node_strain, pack_points, wrench_frame_id
+from ..bags.layout import node_strain, pack_points, wrench_frame_id
 from ..bags.reader import Qos
 from ..bags.template import Template, doubles
 from ..scene import Pose, place
 from ..scene.mesh import TetMesh
-from ..simulation.result import StepResult
 from ..simulation.simulator import Simulator
 from . import messages
 from .options import NodeOptions
@@ -164,21 +163,6 @@ class Outputs:
         recorder, at = self.recorder, time.monotonic_ns() if at is None else at
         if recorder is not None and topic != "mesh_marker" and at >= recorder.began:
             recorder.put(self._names[topic], data, at)
-
-    def device(self, wrench: Floats, stamp: int, at: int) -> None:
-        """Sends what a device is to render (6,) [N, N m]; `stamp` is its time, `at` the steady one [ns]."""
-        self.send("device_wrench", self._device.fill(stamp, doubles(wrench)), at)
-
-    def step(self, out: StepResult, device_wrench: Floats, stamp: int, options: NodeOptions, at: int) -> None:
-        """Sends what a step brought: `stamp` is its time [ns], `options` are those of that step.
-
-        at: steady time at which it began [ns], the log time of all that it brought: a replay can make the same steps.
-        """
-        wrench = express_wrench(out.contact_wrench, out.pose, options.wrench_frame)
-        self.device(device_wrench, stamp, at)
-        self.send("contact_wrench", self._wrench.fill(stamp, doubles(wrench)), at)
-        pose = doubles((*out.pose.position, *out.pose.orientation))
-        self.send("pose", self._pose.fill(stamp, pose), at)
 
     @property
     def recording(self) -> bool:

@@ -61,15 +61,9 @@ class Rcl(NamedTuple):
     publish: int
     take: int
     reset_error: int
-    gettime: int
-    nanosleep: int
     allocator: Ints
     make: Callable[[Ints, int], None]
     remove: Callable[[Ints], None]
-
-    def clock(self) -> Clock:
-        """For one thread."""
-        return Clock(self.gettime, self.nanosleep, np.zeros(2, np.int64))
 
 
 class _Words(ctypes.Structure):
@@ -84,7 +78,7 @@ def find() -> Rcl:
         raise UnfitError(f"{SWITCH}=0 in the environment asks for this")
     if sys.byteorder != "little" or ctypes.sizeof(ctypes.c_void_p) != 8:
         raise UnfitError(f"this is no little-endian machine with addresses of 64 bits: {os.uname().machine}")
-    rcl, rcutils, libc = _loaded("librcl.so"), _loaded("librcutils.so"), ctypes.CDLL(None)
+    rcl, rcutils = _loaded("librcl.so"), _loaded("librcutils.so")
     publish = _address(rcl, "rcl_publish_serialized_message")
     _check_version(publish)
     make, remove, allocator = _messages(rcutils)
@@ -92,12 +86,16 @@ def find() -> Rcl:
         publish=publish,
         take=_address(rcl, "rcl_take_serialized_message"),
         reset_error=_address(rcutils, "rcutils_reset_error"),
-        gettime=_address(libc, "clock_gettime"),
-        nanosleep=_address(libc, "clock_nanosleep"),
         allocator=allocator,
         make=make,
         remove=remove,
     )
+
+
+def clock() -> Clock:
+    """The system's, for one thread."""
+    libc = ctypes.CDLL(None)
+    return Clock(_address(libc, "clock_gettime"), _address(libc, "clock_nanosleep"), np.zeros(2, np.int64))
 
 
 def meaning(code: int) -> str:

@@ -1,13 +1,16 @@
-"""The loop of mode free, in compiled code that holds no interpreter: a step at each deadline, until Python is needed.
+"""The loop's steps, in compiled code that holds no interpreter.
 
     wait for the deadline → take what came → step (simulation/whole.py) → send (haptics/sending.py) → keep accounts
 
-`run` returns where something rare has to be done, and says what; when it is called again it goes on where it was, on
-the same grid of deadlines. ticker.py calls it. Times are in ns on the steady clock, unless said.
+`run` returns where Python is needed, and says for what; when it is called again it goes on where it was, on the same
+grid of deadlines. That is rare where rcl can be called and steps have deadlines. Where Python takes and sends the
+messages, it is so twice a step; where each step answers a command, once. ticker.py calls it. Times are in ns on the
+steady clock, unless said.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -44,12 +47,13 @@ from .wire import (
     wall_ns,
 )  # fmt: skip
 
-ASKED, TO_LOOK, TO_PLACE, TO_MEND, TO_TELL, UNHEARD = range(6)
+ASKED, TO_LOOK, TO_PLACE, TO_MEND, TO_TELL, UNHEARD, TO_AWAIT, TO_TAKE, TO_SEND, TO_FIT = range(10)
 """Why `run` returned: somebody asked for a turn; a message is for Python to look at, or its subscription failed
-(UNHEARD); the first command is to place the finger; the step is to be mended; `told` says what is to be told."""
+(UNHEARD); the first command is to place the finger; the step is to be mended; `told` says what is to be told; a command
+is to be waited for (see `answer`); messages are to be taken, or sent, by Python; a free body is to be found."""
 BECAME_STALE, BACK, RUNG, UNSENT = 1, 2, 4, 8
 """Bits of `told`: those of sending.py; the budget has gone to another rung; a message could not be sent."""
-_WAIT, _TAKE, _STEP, _SEND = range(4)
+_WAIT, _TAKE, _TAKEN, _STEP, _FILL, _SEND, _DONE = range(7)
 
 DEVICE, CONTACT, POSE = range(3)
 """Messages that are sent."""
@@ -140,12 +144,16 @@ class Live(NamedTuple):
     stage, begin : where `run` goes on: in which stage, and in which part of the step (whole.advance)
     why          : of whole.advance, to be mended
     told         : bits of what is to be told
+    by_hand      : 1 where Python takes and sends the messages
+    answers      : 1 where each step answers a command; 0 where steps have deadlines
     """
 
     stage: Ints
     begin: Ints
     why: Ints
     told: Ints
+    by_hand: Ints
+    answers: Ints
     clock: Clock
     deadlines: Deadlines
     heard: Heard
@@ -177,12 +185,19 @@ def run(address: int, model: Model, state: State, live: Live) -> int:
         if live.stage[0] == _WAIT:
             if live.deadlines.asked[0] != 0:
                 return ASKED
+            if live.answers[0] != 0:
+                return TO_AWAIT
             _wait(live)
             live.stage[0] = _TAKE
         if live.stage[0] == _TAKE:
+            if live.by_hand[0] != 0:
+                live.stage[0] = _TAKEN
+                return TO_TAKE
             why = _take_all(live)
             if why != 0:
                 return why
+            live.stage[0] = _TAKEN
+        if live.stage[0] == _TAKEN:
             live.stage[0], live.begin[0] = _STEP, FIRST
             if live.heard.received[0] != 0 and live.heard.zero[0] == 0:
                 return TO_PLACE
@@ -191,8 +206,18 @@ def run(address: int, model: Model, state: State, live: Live) -> int:
             if why != DONE:
                 live.why[0] = why
                 return TO_MEND
+            live.stage[0] = _FILL
+            if live.body.lead.driven[0] == 0.0:
+                return TO_FIT
+        if live.stage[0] == _FILL:
+            _fill(state, live)
             live.stage[0] = _SEND
-        _send(state, live)
+        if live.stage[0] == _SEND:
+            live.stage[0] = _DONE
+            if live.by_hand[0] != 0:
+                return TO_SEND
+            for which in range(3):
+                _publish(live, which)
         _account(live)
         live.stage[0] = _WAIT
         if live.told[0] != 0:
@@ -245,6 +270,33 @@ def _take_all(live: Live) -> int:
 
 
 @kernel
+def answer(live: Live, begun: int, stamp: int) -> None:
+    """The next step begins now, for the newest command, and has that stamp."""
+    live.deadlines.begun[0], live.sent.stamp[0] = begun, stamp
+    live.stage[0] = _TAKEN
+
+
+@kernel
+def let_go(live: Live, now: int, stamp: int) -> bool:
+    """Between answers: whether the last command has become too old; a message has no force for the device then.
+
+    It is sent, unless Python sends by hand.
+    """
+    heard, sent = live.heard, live.sent
+    rendered, age = live.sending.rendered, 1e-9 * (now - heard.received[0])
+    if heard.received[0] == 0 or rendered.stale[0] != 0.0 or age <= rendered.timeout[0]:
+        return False
+    for i in range(6):
+        sent.device[i] = 0.0
+    _render(live, age, 0.0)
+    sent.stamp[0] = stamp
+    _fill_one(live, DEVICE, sent.device, now)
+    if live.by_hand[0] == 0:
+        _publish(live, DEVICE)
+    return True
+
+
+@kernel
 def hear(live: Live, received: int, stamp: int, transport: float) -> None:
     """The pose in heard.at is the newest command."""
     heard = live.heard
@@ -252,7 +304,8 @@ def hear(live: Live, received: int, stamp: int, transport: float) -> None:
     heard.received[0], heard.stamp[0], heard.fresh[0] = received, stamp, 1
     heard.transport[0] = transport if 0.0 <= transport <= MOST_TRANSPORT else 0.0
     if heard.zero[0] != 0 and live.body.lead.driven[0] != 0.0:
-        following.hear(live.body.lead.course, read(heard.at), 1e-9 * (received - heard.zero[0]))
+        when = math.nan if live.answers[0] != 0 else 1e-9 * (received - heard.zero[0])
+        following.hear(live.body.lead.course, read(heard.at), when)
 
 
 @stage
@@ -260,7 +313,7 @@ def _step(address: int, model: Model, state: State, live: Live) -> int:
     """The rest of the step; DONE, or what is to be mended."""
     body, purse = live.body, live.purse
     begun = steady_ns(live.clock)
-    now = 1e-9 * (live.deadlines.begun[0] - live.heard.zero[0])
+    now = math.nan if live.answers[0] != 0 else 1e-9 * (live.deadlines.begun[0] - live.heard.zero[0])
     why = whole.advance(address, model, state, body, now, live.begin[0])
     if why == FALLS_ASLEEP:
         state.v[:] = 0.0
@@ -273,40 +326,54 @@ def _step(address: int, model: Model, state: State, live: Live) -> int:
 
 
 @stage
-def _send(state: State, live: Live) -> None:
-    """Wrench for the device, wrench of contact and pose, published and recorded."""
+def _fill(state: State, live: Live) -> None:
+    """Wrench for the device, wrench of contact and pose: made, and recorded."""
     heard, sent, body, begun = live.heard, live.sent, live.body, live.deadlines.begun[0]
+    contact, device, pose = sent.contact, sent.device, body.pose
     for i in range(6):
-        sent.contact[i] = state.wrench[i]
-        sent.device[i] = 0.0
+        device[i] = 0.0
+        if body.lead.driven[0] != 0.0:  # of a free body it is there
+            contact[i] = state.wrench[i]
     if heard.received[0] != 0:
         if body.lead.yields[0] != 0.0:
-            turned_round(state.coupling, body.pose, body.lead.end, sent.device)
+            turned_round(state.coupling, pose, body.lead.end, device)
         else:
             for i in range(6):
-                sent.device[i] = state.wrench[i]
+                device[i] = contact[i]
         rendered = live.sending.rendered
-        clamped(sent.device, rendered.force_limit[0], rendered.torque_limit[0], sent.device)
-        age, took = 1e-9 * (begun - heard.received[0]), 1e-9 * (steady_ns(live.clock) - begun)
-        live.told[0] |= sending.send(
-            live.sending, sent.device, heard.before, heard.newest, heard.fresh[0] != 0, heard.transport[0], age, took,
-            body.dt[0], sent.device,
-        )  # fmt: skip
-    _express(sent.contact, body.pose, sent.axes[0])
-    for which in range(3):
-        numbers = sent.device if which == DEVICE else sent.contact if which == CONTACT else body.pose
-        fill(live.outgoing, which, sent.stamp[0], numbers)
-        failure = publish(live.outgoing, which)
-        if failure != 0:
-            sent.failure[0] = failure
-            live.told[0] |= UNSENT
-        data = bytes_at(live.outgoing.messages[which, ADDRESS], live.outgoing.messages[which, LENGTH])
-        recording.put(live.recording, sent.topics[which], begun, data, data.shape[0])
-    if heard.fresh[0] != 0:
-        heard.fresh[0] = 0
-        write(heard.before, read(heard.newest))
-        add(live.delay, 1e-9 * (steady_ns(live.clock) - heard.received[0]))
-        add(live.transport, heard.transport[0])
+        clamped(device, rendered.force_limit[0], rendered.torque_limit[0], device)
+        _render(live, 1e-9 * (begun - heard.received[0]), 1e-9 * (steady_ns(live.clock) - begun))
+    _express(contact, pose, sent.axes[0])
+    _fill_one(live, DEVICE, device, begun)
+    _fill_one(live, CONTACT, contact, begun)
+    _fill_one(live, POSE, pose, begun)
+
+
+@stage
+def _render(live: Live, age: float, took: float) -> None:
+    """sent.device as the device gets it; see sending.send."""
+    heard, sent = live.heard, live.sent
+    live.told[0] |= sending.send(
+        live.sending, sent.device, heard.before, heard.newest, heard.fresh[0] != 0, heard.transport[0], age, took,
+        live.body.dt[0], sent.device,
+    )  # fmt: skip
+
+
+@stage
+def _fill_one(live: Live, which: int, numbers: Floats, at: int) -> None:
+    """A message is made, and recorded as of that time."""
+    sent = live.sent
+    fill(live.outgoing, which, sent.stamp[0], numbers)
+    data = bytes_at(live.outgoing.messages[which, ADDRESS], live.outgoing.messages[which, LENGTH])
+    recording.put(live.recording, sent.topics[which], at, data, data.shape[0])
+
+
+@stage
+def _publish(live: Live, which: int) -> None:
+    failure = publish(live.outgoing, which)
+    if failure != 0:
+        live.sent.failure[0] = failure
+        live.told[0] |= UNSENT
 
 
 @stage
@@ -326,16 +393,24 @@ def _express(wrench: Floats, pose: Floats, axes: int) -> None:
 @stage
 def _account(live: Live) -> None:
     """Of the step that is done: deadlines that have passed are skipped, and counted."""
-    grid = live.deadlines
+    grid, heard = live.deadlines, live.heard
     now, k = steady_ns(live.clock), grid.k[0]
-    passed = (now - grid.origin[0]) // grid.period[0]
     grid.steps[0] += 1
-    grid.late[0] += 1 if passed > k else 0
-    grid.k[0] = max(k + 1, passed)
-    grid.overruns[0] += grid.k[0] - (k + 1)
     grid.last[0] = now
     add(live.step_time, 1e-9 * (now - grid.begun[0]))
+    if live.answers[0] != 0:
+        add(live.lateness, 1e-9 * (grid.begun[0] - heard.received[0]))
+    else:
+        passed = (now - grid.origin[0]) // grid.period[0]
+        grid.late[0] += 1 if passed > k else 0
+        grid.k[0] = max(k + 1, passed)
+        grid.overruns[0] += grid.k[0] - (k + 1)
+    if heard.fresh[0] != 0:
+        heard.fresh[0] = 0
+        write(heard.before, read(heard.newest))
+        add(live.delay, 1e-9 * (now - heard.received[0]))
+        add(live.transport, heard.transport[0])
 
 
-KERNELS = (run, hear)
+KERNELS = (run, hear, answer, let_go)
 """What a ticker calls."""

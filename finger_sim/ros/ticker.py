@@ -1,4 +1,4 @@
-"""The loop of mode free: compiled where it can be (tick.py), and what it needs Python for."""
+"""The loop's thread: compiled code makes the steps (tick.py), and this does what it needs Python for."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 from numba import types
 
@@ -23,54 +22,60 @@ from . import tick
 from .accounts import Window, nothing_counted
 from .endpoints import Endpoints
 from .inbox import Command, Inbox
-from .loop import RateLoop, StepCounts
+from .loop import IDLE_PERIOD, Loop, StepCounts, Triggers
+from .messages import time_of
 from .outputs import Outputs
 from .pose_bytes import frame_bytes
-from .rcl import UnfitError, meaning
+from .rcl import meaning
 from .stepper import Observed, Stepper
 from .tick import Heard, Live, Sent, deadlines
 from .wire import UNFIT
 
 
-class Ticker(RateLoop):
-    """A RateLoop whose steps compiled code makes by itself, without the interpreter, for as long as nothing is rare.
+class Ticker(Loop):
+    """Makes steps every `period` [s], or one for each command.
 
-    tick  : a step in Python, for where that is not possible: without rcl's own functions, under simulated time, of a
-            body without a bone
-    clock : of the node
+    take     : commands that came by a steady time [ns], or till now; poses of the plane go to the Stepper
+    triggers : commands that wait for their steps; None: steps have deadlines
+    clock    : of the node
+
+    Where rcl does not fit, and under simulated time, messages go through rclpy, by hand: see tick.py.
     """
 
     def __init__(
         self,
         period: float,
         prepare: Callable[[], object],
-        tick: Callable[[], None],
         parts: tuple[Stepper, Outputs, Inbox],
+        take: Callable[[int | None], list[Command]],
+        triggers: Triggers[Command] | None,
         clock: Any,
         log: Any,
     ) -> None:
-        super().__init__(period, prepare, tick)
+        super().__init__(prepare)
         self._stepper, self._outputs, self._inbox = parts
+        self._take_commands, self._triggers = take, triggers
         self._clock, self._log = clock, log
         self._grid = deadlines(period)
-        self._compiled = False
+        self._loaded = False
         self._wake = self._ask
         self._endpoints = Endpoints(self._outputs.stepped(), self._inbox.subscriptions)
+        self._said = ""
+        self._shifted: Pose | None = None
 
     def compile(self, compiled: Compiled) -> None:
         """Compiles what will step, for the types of a Simulator to be, where it is not there yet."""
-        if not self._lack():
-            self._make()
-            self._bind(compiled, self._parts(compiled, None, None))
+        self._make()
+        self._bind(compiled, self._parts(compiled, None, None))
 
     def load(self, tell: Callable[[str], None]) -> None:
-        """Compiles or loads what steps, once there is a Simulator; or says why Python makes them."""
-        why = self._lack()
-        if why:
-            self._log.info(f"steps are made in Python, which is slower: {why}")
-        else:
-            with compiling(tell, tick.KERNELS):
-                self._begin()
+        """Compiles or loads what steps, once there is a Simulator."""
+        with compiling(tell, tick.KERNELS):
+            self._make()
+            self._arranged: tuple[Any, ...] = ()
+            self._arrange()
+        self._inbox.also = self._heard.commands
+        self._loaded = True
 
     def release(self) -> None:
         """Lets publishers and subscriptions go, once the thread has ended."""
@@ -78,37 +83,40 @@ class Ticker(RateLoop):
 
     def _ask(self) -> None:
         self._grid.asked[0] = 1
+        if self._triggers is not None:
+            self._inbox.wake()
 
     @property
     def progress(self) -> StepCounts:
         """Steps made and missed until now."""
-        if not self._compiled:
+        if not self._loaded:
             return self._progress
         grid = self._grid
         steps, late, overruns = (int(count[0]) for count in (grid.steps, grid.late, grid.overruns))
+        dropped = self._triggers.dropped if self._triggers is not None else 0
         begin, last = (1e-9 * int(when[0]) for when in (grid.origin, grid.last))
-        return StepCounts(steps, late, overruns, begin, max(begin, last))
+        return StepCounts(steps, late, overruns + dropped, begin, max(begin, last))
 
     def _turn(self, origin: float) -> None:
-        if not self._compiled:
-            super()._turn(origin)
-            return
         self._set_out()
         asked = {
             tick.ASKED: self._listen,
+            tick.TO_AWAIT: self._await,
+            tick.TO_TAKE: self._take,
             tick.TO_LOOK: self._look,
             tick.UNHEARD: self._unheard,
             tick.TO_PLACE: self._place,
             tick.TO_MEND: self._mend,
+            tick.TO_FIT: self._fit,
+            tick.TO_SEND: self._send,
             tick.TO_TELL: self._tell,
         }
-        try:
-            while not self._stop.is_set():
-                asked[self._run_compiled()]()
-        except UnfitError as error:
-            self._log.warning(f"steps are made in Python from now on, which is slower: {error}")
-            self._hand_back()
-            super()._turn(time.monotonic())
+        while not self._stop.is_set():
+            asked[self._run_compiled()]()
+
+    def _run_compiled(self) -> int:
+        """Steps until Python is needed; why."""
+        return self._function(*self._arguments)
 
     def _listen(self) -> None:
         """Somebody wants a turn between two steps."""
@@ -116,23 +124,39 @@ class Ticker(RateLoop):
         self._answer()
         self._arrange()
 
-    def _lack(self) -> str:
-        """Why compiled code cannot make the steps; empty: it can."""
-        if numba.config.DISABLE_JIT:
-            return "nothing is compiled (NUMBA_DISABLE_JIT)"
-        if self._clock.ros_time_is_active:
-            return "use_sim_time is set"
-        if self._stepper.scene.driven is None:
-            return "the body has no bone"
-        return self._endpoints.lack
+    def _await(self) -> None:
+        """The next command has its step; without one, the device is let go of in time."""
+        triggers = self._triggers
+        assert triggers is not None
+        triggers.extend(self._take_commands(None))
+        self._shift()
+        command = triggers.pop()
+        if command is not None:
+            before = int(self._heard.received[0])
+            if before != 0 and 1e-9 * (command.received_ns - before) > self._stepper.rendering.timeout:
+                self._stepper.rendering.silence()
+            self._follow(command)
+            self._answer_to(self._held, time.monotonic_ns(), command.stamp or time_of(self._clock))
+        elif not self._inbox.wait(IDLE_PERIOD):
+            if self._let_go(self._held, time.monotonic_ns(), time_of(self._clock)) and self._live.by_hand[0] != 0:
+                self._endpoints.send(tick.DEVICE)
+            self._tell()
 
-    def _begin(self) -> None:
-        """The loop is compiled code's."""
-        self._make()
-        self._arranged: tuple[Any, ...] = ()
-        self._arrange()
-        self._inbox.also = self._heard.commands
-        self._compiled = True
+    def _take(self) -> None:
+        """What came by the beginning of the step, through rclpy."""
+        for command in self._take_commands(int(self._grid.begun[0])):
+            self._follow(command)
+        self._shift()
+        self._sent.stamp[0] = time_of(self._clock)
+
+    def _fit(self) -> None:
+        """Where a free body is, and the wrench about there."""
+        self._sent.contact[:] = self._stepper.sim.locate()
+
+    def _send(self) -> None:
+        """What the step brought, through rclpy."""
+        for which in range(len(self._outputs.stepped_topics)):
+            self._endpoints.send(which)
 
     def _make(self) -> None:
         """The parts of what compiled code works on that are its own."""
@@ -144,16 +168,16 @@ class Ticker(RateLoop):
         )  # fmt: skip
         axes = {"world_aligned": tick.WORLD_ALIGNED, "finger": tick.FINGER, "world": tick.WORLD}[options.wrench_frame]
         self._sent = Sent(np.zeros(6), np.zeros(6), np.array([axes]), np.zeros(5, np.int64), _one(), _one())
-        self._flow, self._counted = (_one(), _one(), _one(), _one()), nothing_counted()
+        self._by_hand, answers = _one(), np.array([self._triggers is not None], np.int64)
+        self._flow, self._counted = (_one(), _one(), _one(), _one(), self._by_hand, answers), nothing_counted()
 
     def _set_out(self) -> None:
         """What came before the first step, and when that is."""
         with self._inbox.early:
-            newest, plane = self._stepper.newest, self._stepper.plane
-        if newest is not None:
+            newest = self._stepper.newest
+        if newest is not None and self._triggers is None:
             self._follow(newest)
-        if plane is not None:
-            self._shift(plane)
+        self._shift()
         self._stepper.observe(Observed(self._newest, self._moment, lambda: Window.of(self._counted)))
         self._grid.origin[0] = self._grid.last[0] = time.monotonic_ns()
 
@@ -172,6 +196,10 @@ class Ticker(RateLoop):
         """What compiled code works on, as it is now."""
         stepper, outputs = self._stepper, self._outputs
         stepper.allow(outputs.options)
+        why = "use_sim_time is set" if self._clock.ros_time_is_active else self._endpoints.lack
+        if why != self._said:
+            self._log.info(f"messages go through rclpy, which is slower: {why}" if why else "messages go through rcl")
+        self._said, self._by_hand[0] = why, why != ""
         recorder, compiled = outputs.recorder, stepper.sim.compiled
         recording = recorder.loop if recorder is not None else None
         purse = stepper.budget.purse if stepper.budget is not None else None
@@ -184,8 +212,6 @@ class Ticker(RateLoop):
 
     def _parts(self, compiled: Compiled, recording: Recording | None, purse: Purse | None) -> Live:
         incoming, outgoing, stepper = self._endpoints.incoming, self._endpoints.outgoing, self._stepper
-        assert incoming is not None
-        assert outgoing is not None
         return Live(
             *self._flow, incoming.clock, self._grid, self._heard, self._sent, compiled.body, stepper.sender.record,
             purse or build_purse(), incoming, outgoing, recording or no_recording(), self._counted, self.step_time,
@@ -195,8 +221,10 @@ class Ticker(RateLoop):
     def _bind(self, compiled: Compiled, live: Live) -> None:
         self._live, self._held = live, held(live)
         self._arguments = (compiled.address, compiled.model, compiled.state, self._held)
-        self._function = direct(tick.run, types.int64, *self._arguments[1:])
+        self._function: Callable[..., int] = direct(tick.run, types.int64, *self._arguments[1:])
         self._hear = direct(tick.hear, self._held, types.int64, types.int64, types.float64)
+        self._answer_to = direct(tick.answer, self._held, types.int64, types.int64)
+        self._let_go = direct(tick.let_go, self._held, types.int64, types.int64)
 
     def _look(self) -> None:
         """A message that is not the usual one."""
@@ -212,15 +240,19 @@ class Ticker(RateLoop):
             plane = self._inbox.judge_plane(data)
             if plane is not None:
                 self._stepper.plane = plane
-                self._shift(plane)
+                self._shift()
 
     def _follow(self, command: Command) -> None:
         self._heard.at[:] = numbers(command.pose)
         self._hear(self._held, command.received_ns, command.stamp, command.transport)
 
-    def _shift(self, plane: Pose) -> None:
-        table = self._live.body.table
-        table.target[:], table.given[0] = numbers(plane), 1.0
+    def _shift(self) -> None:
+        """The plane goes where it is wanted, if that is new."""
+        plane = self._stepper.plane
+        if plane is not None and plane is not self._shifted:
+            table = self._live.body.table
+            table.target[:], table.given[0] = numbers(plane), 1.0
+        self._shifted = plane
 
     def _unheard(self) -> None:
         """A message that could not be taken, or the first one, which shows that rcl is not what it is taken for."""
@@ -231,25 +263,15 @@ class Ticker(RateLoop):
         if self._outputs.recorder is not None:
             self._outputs.recorder.put(self._inbox.topics[which], data, received)
         self._judge(which, data, received)
-        raise UnfitError(self._endpoints.lack)
-
-    def _hand_back(self) -> None:
-        """The loop is Python's from now on."""
-        newest, self._progress = self._newest(), self.progress
-        self._compiled = False
-        self._stepper.observe(None)
-        if newest is not None:
-            self._stepper.newest = newest
+        self._arrange()
 
     def _place(self) -> None:
         """The first command places the finger, and the plane where it is wanted."""
         heard, table = self._heard, self._live.body.table
-        plane = pose_of(table.target) if table.given[0] != 0.0 else None
         heard.zero[0] = heard.received[0]
-        heard.before[:] = heard.newest
-        pose = pose_of(heard.newest)
-        self._stepper.place(pose, plane)
-        self._stepper.sim.hear(pose, 0.0)
+        heard.before[:] = heard.at[:] = heard.newest
+        self._stepper.place(pose_of(heard.newest), pose_of(table.target) if table.given[0] != 0.0 else None)
+        self._hear(self._held, int(heard.received[0]), int(heard.stamp[0]), float(heard.transport[0]))
 
     def _mend(self) -> None:
         self._live.begin[0] = self._stepper.sim.mend(int(self._live.why[0]))
@@ -262,10 +284,6 @@ class Ticker(RateLoop):
         if told & tick.RUNG:
             self._stepper.take_rung()
             self._arrange()
-
-    def _run_compiled(self) -> int:
-        why: int = self._function(*self._arguments)
-        return why
 
 
 def _one() -> Ints:

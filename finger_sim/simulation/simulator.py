@@ -198,16 +198,24 @@ class Simulator:
     def _report(self) -> StepResult:
         """What a step gives."""
         state, body = self._state, self._body
-        wrench = state.wrench.copy()
-        if not self._driven:
-            self._place(best_fit(self.mesh.points, self.positions, self._model.mass))
-            wrench[3:] += np.cross(state.origin - np.array(self.pose.position), wrench[:3])
+        wrench = self.locate()
         felt = spring_wrench(state.coupling, self.pose, self._drive.end) if self._yields else wrench
         return StepResult(
             self.time, wrench, device_wrench(self.scene.coupling, felt), self.pose, int(body.iterations[0]),
             float(body.residual[0]), STATUSES[body.status[0]], *measured(body.result.tolist()),
             touch=Imprint.of(self).touch() if self._touch else None,
         )  # fmt: skip
+
+    def locate(self) -> Floats:
+        """The contact wrench (6,) about the finger frame [N, N m]. `step` does this by itself.
+
+        That of a body without a bone is where its nodes fit it best.
+        """
+        wrench = self._state.wrench.copy()
+        if not self._driven:
+            self._place(best_fit(self.mesh.points, self.positions, self._model.mass))
+            wrench[3:] += np.cross(self._state.origin - np.array(self.pose.position), wrench[:3])
+        return wrench
 
     def _place(self, pose: Pose) -> None:
         """The simulated finger frame is there."""

@@ -1,4 +1,4 @@
-"""The loop's thread: deadlines kept, skipped and counted on a clock of the test's own; one step for each trigger."""
+"""The loop's thread: deadlines kept, skipped and counted on a clock of the test's own; triggers in their order."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import getpass
 import os
 import threading
 from types import SimpleNamespace
-from typing import Any, NamedTuple
 
 import pytest
 
 from finger_sim.ros import loop as module
-from finger_sim.ros.loop import RateLoop, StepCounts, TriggeredLoop, prefer_this_thread
+from finger_sim.ros.loop import Loop, RateLoop, StepCounts, Triggers, prefer_this_thread
 
 
 class Clock:
@@ -69,98 +68,46 @@ def test_missed_deadlines_are_skipped_and_never_bunched_up(monkeypatch):
     assert (progress.steps, progress.late, progress.overruns) == (4, 1, 4)
 
 
-class Item(NamedTuple):
-    number: int
-    received: float = 0.0
+def test_what_triggers_steps_keeps_its_order_and_of_too_many_the_oldest_are_dropped():
+    """The newest always has its step; what is dropped is counted."""
+    triggers = Triggers[int](10)
+    assert triggers.pop() is None
+    triggers.extend([0, 1])
+    triggers.extend([2])
+    assert [triggers.pop() for _ in range(4)] == [0, 1, 2, None]
+    assert triggers.dropped == 0
+    triggers.extend(range(25))
+    assert [triggers.pop() for _ in range(10)] == list(range(15, 25))
+    assert (triggers.dropped, triggers.pop()) == (15, None)
 
 
-class Source:
-    """What a TriggeredLoop takes from."""
+class Once(Loop):
+    """Makes the calls that wait until it is to stop."""
 
-    def __init__(self) -> None:
-        self.woken = threading.Semaphore(0)
-        self.coming: list[list[Item]] = []
-
-    def take(self) -> list[Item]:
-        return self.coming.pop(0) if self.coming else []
-
-    def send(self, *items: Item) -> None:
-        self.coming.append(list(items))
-        self.woken.release()
-
-    def loop(self, tick: Any, idle: Any = lambda: None, capacity: int = 10) -> TriggeredLoop[Item]:
-        return TriggeredLoop(
-            lambda: None,
-            tick,
-            idle,
-            take=self.take,
-            wait=lambda seconds: self.woken.acquire(timeout=seconds),
-            wake=self.woken.release,
-            capacity=capacity,
-        )
+    def _turn(self, origin: float) -> None:
+        while not self._stop.is_set():
+            self._answer()
 
 
-def test_each_trigger_makes_one_step_in_its_order():
-    """None without; what came together too."""
-    source, made, done = Source(), [], threading.Event()
-
-    def tick(item: Item) -> None:
-        made.append(item.number)
-        if item.number == 4:
-            done.set()
-
-    loop = source.loop(tick)
+def test_calls_are_made_by_the_thread_and_their_exceptions_go_to_who_asked():
+    """The loop goes on."""
+    loop = Once(lambda: None)
     loop.start()
-    source.send(Item(0))
-    source.send(Item(1), Item(2), Item(3))
-    source.send(Item(4))
-    assert done.wait(60.0)
-    assert loop.stop(60.0)
-    assert made == [0, 1, 2, 3, 4]
-    assert (loop.progress.steps, loop.progress.overruns) == (5, 0)
-
-
-def test_of_too_many_triggers_the_oldest_are_dropped_and_counted():
-    """The newest is always followed."""
-    source, made, done = Source(), [], threading.Event()
-
-    def tick(item: Item) -> None:
-        made.append(item.number)
-        if item.number == 24:
-            done.set()
-
-    loop = source.loop(tick, capacity=10)
-    source.send(*(Item(k) for k in range(25)))
-    loop.start()
-    assert done.wait(60.0)
-    assert loop.stop(60.0)
-    assert made == list(range(15, 25))
-    assert loop.progress.overruns == 15
-
-
-def test_between_triggers_calls_are_made_and_the_time_is_looked_at():
-    """A call need not wait for a trigger; its exception goes to who asked."""
-    source, idle = Source(), threading.Event()
-    loop = source.loop(lambda _: None, idle.set)
-    loop.start()
-    assert loop.call(lambda: 42).result(60.0) == 42
+    assert loop.call(threading.get_ident).result(60.0) == loop._thread.ident
     with pytest.raises(ZeroDivisionError):
         loop.call(lambda: 1 / 0).result(60.0)
-    assert idle.wait(60.0)
     assert loop.stop(60.0)
     assert loop.error is None
-    assert loop.progress.steps == 0
 
 
 def test_an_error_in_a_step_ends_the_loop_and_is_kept():
     """For whoever looks at it."""
-    source = Source()
-    loop = source.loop(lambda item: 1 / (item.number - 1))
+    left = iter([1, 1])
+    loop = RateLoop(0.001, lambda: None, lambda: next(left))
     loop.start()
-    source.send(Item(0), Item(1), Item(2))
     loop._thread.join(60.0)
-    assert isinstance(loop.error, ZeroDivisionError)
-    assert loop.progress.steps == 1
+    assert isinstance(loop.error, StopIteration)
+    assert loop.progress.steps == 2
 
 
 def test_a_priority_that_is_not_permitted_is_told_with_what_permits_it(monkeypatch: pytest.MonkeyPatch) -> None:

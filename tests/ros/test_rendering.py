@@ -2,77 +2,113 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
+from geometry_msgs.msg import WrenchStamped
+from rclpy.serialization import deserialize_message
 from small_fingers import small
 
-from finger_sim import Pose, Scene
+from finger_sim import Pose
+from finger_sim.ros import tick
 from finger_sim.ros.inbox import Command
+from finger_sim.ros.loop import Triggers
+from finger_sim.ros.messages import pose_template, wrench_template
 from finger_sim.ros.options import NodeOptions
 from finger_sim.ros.outputs import Outputs
 from finger_sim.ros.stepper import Stepper
+from finger_sim.ros.ticker import Ticker
 
 
-def stepper(**options: Any) -> tuple[Stepper, NodeOptions]:
-    """And its options."""
-    return Stepper(small("finger_coupled"), SimpleNamespace(), None, None), NodeOptions(**options)  # type: ignore[arg-type]
+class Published:
+    """Stands in for a publisher."""
+
+    topic_name = topic = "/t"
+
+    def __init__(self) -> None:
+        self.sent: list[bytes] = []
+
+    def publish(self, data: bytes) -> None:
+        self.sent.append(data)
 
 
-FORCE = np.array([0.0, 0.0, 4.0, 0.0, 0.1, 0.0])
+def ticker(monkeypatch: pytest.MonkeyPatch, commands: list[Command]) -> tuple[Ticker, list[Published], list[str]]:
+    """One that answers commands, without ROS; what it published, by hand, and what it said."""
+    monkeypatch.setenv("FINGER_SIM_RCL", "0")
+    said: list[str] = []
+    log: Any = SimpleNamespace(warning=said.append, info=said.append)
+    clock: Any = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=7), ros_time_is_active=False)
+    published = [Published() for _ in range(3)]
+    templates = (wrench_template("a"), wrench_template("b"), pose_template("world"))
+    outputs: Any = SimpleNamespace(
+        options=NodeOptions(), recorder=None, stepped_topics=["/t"] * 3, prepare=lambda mesh: None,
+        stepped=lambda: list(zip(published, templates, strict=True)),
+    )  # fmt: skip
+    inbox: Any = SimpleNamespace(
+        subscriptions=(None, None), topics=("/c", "/p"), early=threading.Lock(), wait=lambda _: False, wake=lambda: None
+    )
+    scene = small("finger_coupled")
+    node = Stepper(scene, outputs, log)
+    take = lambda now: [commands.pop(0) for _ in range(len(commands))]  # noqa: E731
+    loop = Ticker(scene.dt, lambda: None, (node, outputs, inbox), take, Triggers[Command](10), clock, log)
+    node.prepare(lambda _: None, loop.compile)
+    loop.load(lambda _: None)
+    loop._set_out()
+    said.clear()
+    return loop, published, said
 
 
-def test_between_commands_the_port_keeps_the_delay_of_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 30 ms here and 30 back, and what passed since its receipt until the wrench is sent."""
-    node, options = stepper()
-    command = Command(Pose(), 5_000_000_000, 0.03)
-    for begin, sent in ((5_001_000_000, 5_002_000_000), (5_010_000_000, 5_010_500_000)):
-        monkeypatch.setattr("finger_sim.ros.stepper.time.monotonic_ns", lambda sent=sent: sent)
-        node._send(FORCE, command, begin, options)
-        node._followed = command
-        assert node.sender.delay == pytest.approx(0.062)
+def force(data: bytes) -> tuple[float, ...]:
+    message = deserialize_message(data, WrenchStamped)
+    return message.wrench.force.x, message.wrench.force.y, message.wrench.force.z
+
+
+def turns(loop: Ticker, until: int) -> None:
+    """Makes the calls that compiled code asks for, the last one that of `until`."""
+    calls = {tick.TO_AWAIT: loop._await, tick.TO_PLACE: loop._place, tick.TO_SEND: loop._send, tick.TO_TELL: loop._tell}
+    why = -1
+    while why != until:
+        why = loop._run_compiled()
+        calls[why]()
 
 
 def test_between_answers_a_device_is_let_go_of_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """As soon as the last command is too old: one wrench of nothing, and one line that says so; not before."""
-    said: list[str] = []
-    sent: list[Any] = []
-    clock: Any = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=0))
-    outputs: Any = SimpleNamespace(options=NodeOptions(), device=lambda wrench, stamp, at: sent.append((wrench, at)))
-    log: Any = SimpleNamespace(warning=said.append, info=said.append)
-    node = Stepper(small("finger_coupled"), outputs, clock, log)
-    node.newest = node._followed = Command(Pose(), 5_000_000_000)
-    node._send(FORCE, node.newest, 5_000_000_000, outputs.options)
-    for now in (5_050_000_000, 5_100_000_000, 5_101_000_000, 5_200_000_000):
-        monkeypatch.setattr("finger_sim.ros.stepper.time.monotonic_ns", lambda now=now: now)
-        node.idle()
-    assert [(wrench.any(), at) for wrench, at in sent] == [(False, 5_101_000_000)]
+    commands: list[Command] = []
+    loop, (device, contact, _), said = ticker(monkeypatch, commands)
+    received = time.monotonic_ns()
+    commands.append(Command(Pose((0.0, 0.0, 0.01)), received))
+    turns(loop, tick.TO_SEND)
+    assert (len(device.sent), len(contact.sent)) == (1, 1)
+    for later, sent in ((50_000_000, 1), (100_000_000, 1), (101_000_000, 2), (200_000_000, 2)):
+        now = received + later
+        monkeypatch.setattr("finger_sim.ros.ticker.time", SimpleNamespace(monotonic_ns=lambda now=now: now))
+        turns(loop, tick.TO_AWAIT)
+        assert (len(device.sent), len(contact.sent)) == (sent, 1)
+    assert force(device.sent[1]) == (0.0, 0.0, 0.0)
     assert said == ["no command for 0.1 s: holding the pose, device_wrench is zero"]
-    device = node._send(FORCE, Command(Pose(), 5_200_000_000), 5_200_000_000, outputs.options)
-    assert device[2] == pytest.approx(4.0 * 0.001 / 0.2)  # the first of a new ramp
+    monkeypatch.setattr("finger_sim.ros.ticker.time", time)
+    commands.append(Command(Pose((0.0, 0.0, 0.01)), time.monotonic_ns()))
+    turns(loop, tick.TO_TELL)
     assert said[1:] == ["commands are back: device_wrench follows the contact again"]
 
 
-def test_a_target_of_the_plane_is_taken_once() -> None:
+def test_a_target_of_the_plane_is_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each that came, however it was put there; then none until the next."""
-    outputs: Any = SimpleNamespace(options=NodeOptions(), step=lambda *_: None)
-    clock: Any = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=0))
-    node, taken = Stepper(small("finger_coupled"), outputs, clock, None), []
-    result: Any = SimpleNamespace(device_wrench=FORCE)
-    step = lambda command, plane, now: taken.append(plane) or result  # noqa: E731
-    node.sim = SimpleNamespace(step=step)  # type: ignore[assignment]
-    node._window = SimpleNamespace(add=lambda _: None)  # type: ignore[assignment]
-    targets = [Pose(), Pose((0.0, 0.0, 0.1))]
-    for target in targets:
-        node.plane = target
-        node.tick(0, [])
-        node.tick(0, [])
-    assert taken == [targets[0], None, targets[1], None]
+    loop, _, _ = ticker(monkeypatch, [])
+    table = loop._live.body.table
+    for target in (Pose(), Pose((0.0, 0.0, 0.1))):
+        loop._stepper.plane = target
+        for given in (1.0, 0.0):
+            table.given[0] = 0.0
+            turns(loop, tick.TO_AWAIT)
+            assert table.given[0] == given
+        assert tuple(table.target[:3]) == target.position
 
 
 def test_what_the_file_of_a_mesh_lost_is_logged(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,45 +118,8 @@ def test_what_the_file_of_a_mesh_lost_is_logged(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("finger_sim.ros.stepper.Simulator", lambda scene, progress, meanwhile: made)
     monkeypatch.setattr(Stepper, "_take_budget", lambda _: None)
     scene, outputs = small("finger_coupled"), SimpleNamespace(prepare=lambda mesh: None)
-    clock: Any = None
-    Stepper(scene, outputs, clock, SimpleNamespace(warning=warned.append)).prepare(print)  # type: ignore[arg-type]
+    Stepper(scene, outputs, SimpleNamespace(warning=warned.append)).prepare(print)  # type: ignore[arg-type]
     assert warned == [f"{scene.mesh.file}: {note}" for note in made.mesh.notes]
-
-
-class Changing(Outputs):
-    """Its options change with every look at them, as where another thread sets parameters."""
-
-    looks = 0
-
-    @property
-    def options(self) -> NodeOptions:
-        self.looks += 1
-        return NodeOptions(passivity=("observe", "control")[self.looks % 2])
-
-    @options.setter
-    def options(self, _: NodeOptions) -> None: ...
-
-
-def test_a_step_works_on_one_snapshot_of_the_options() -> None:
-    """However often they change, a step looks once: what it decides by is what it computes with."""
-    publisher: Any = SimpleNamespace(topic_name="/t", publish=lambda _: None, get_subscription_count=lambda: 1)
-    outputs = Changing(SimpleNamespace(create_publisher=lambda *_: publisher), NodeOptions())
-    clock: Any = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=0))
-    scene = Scene.from_dict(
-        {
-            "mesh": {"beam": {"size": [0.02, 0.01, 0.01], "cells": [2, 1, 1]}},
-            "driven": {"box": [[-1, -1, 0.0099], [1, 1, 1]]},
-            "plane": {},
-        }
-    )
-    node = Stepper(scene, outputs, clock, SimpleNamespace(warning=print, info=print))
-    node.prepare(lambda _: None)
-    for step in range(20):
-        now = time.monotonic_ns()
-        node.newest = Command(Pose((0.0, 0.0, 0.01 - 1e-5 * step)), now)
-        before = outputs.looks
-        node.tick(now, [node.newest])
-        assert outputs.looks == before + 1
 
 
 def test_a_recording_begins_with_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,5 +133,5 @@ def test_a_recording_begins_with_the_mesh(monkeypatch: pytest.MonkeyPatch) -> No
     recorder: Any = SimpleNamespace(began=1000, put=lambda topic, data, at: kept.append((topic, at)))
     outputs.start_recording(recorder, None, 0)
     for at in (999, 1001):
-        outputs.device(np.zeros(6), 0, at)
-    assert kept == [("mesh_topology", 1000), ("device_wrench", 1001)]
+        outputs.send("mesh_points", b"", at)
+    assert kept == [("mesh_topology", 1000), ("mesh_points", 1001)]
