@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import CancelledError
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
@@ -13,9 +12,10 @@ from ..simulation.touch import Imprint
 from .accounts import DOUBTFUL, Window
 from .graph_watch import GraphWatch
 from .inbox import Inbox
-from .loop import Loop, StepCounts
+from .loop import StepCounts
 from .outputs import Outputs
 from .stepper import Stepper
+from .ticker import Ticker
 
 STALL = 0.5
 """Time without a step after which the loop counts as stalled [s]."""
@@ -26,7 +26,7 @@ SLOW_COMMANDS = 100.0
 class Reporter:
     """Makes a DiagnosticArray of the time since the last one; called from one thread."""
 
-    def __init__(self, loop: Loop, stepper: Stepper, outputs: Outputs, inbox: Inbox, graph: GraphWatch) -> None:
+    def __init__(self, loop: Ticker, stepper: Stepper, outputs: Outputs, inbox: Inbox, graph: GraphWatch) -> None:
         self._loop, self._stepper, self._outputs, self._inbox = loop, stepper, outputs, inbox
         self._graph = graph
         self._before: StepCounts | None = None
@@ -128,17 +128,11 @@ class Reporter:
             problems.append((1, f"{(window.status & DOUBTFUL).name} in {window.doubtful} of {window.steps} steps"))
 
     def _between_steps(self) -> tuple[Window, Imprint | None]:
-        """The steps since the last report, and what tells how the finger touches the plane; little of a stalled loop.
-
-        The loop copies it between two steps; the rest is done here.
-        """
-        answer = self._loop.call(lambda: (self._stepper.take_window(), Imprint.of(self._stepper.sim)))
-        try:
-            copied: tuple[Window, Imprint | None] = answer.result(STALL)
-        except (TimeoutError, CancelledError):
-            answer.cancel()
+        """The steps since the last report, and what tells how the finger touches the plane; less of a stalled loop."""
+        snapshot = self._loop.reported
+        if not snapshot.take(STALL):
             return Window(), None
-        return copied
+        return snapshot.window(), snapshot.imprint(self._stepper.sim)
 
     def _touch(self, values: dict[str, str], imprint: Imprint) -> None:
         """How the finger touches the plane right now."""

@@ -47,7 +47,7 @@ from .inbox import Command, Inbox
 from .loop import StepCounts, Triggers, prefer_this_thread
 from .messages import time_of
 from .options import NodeOptions
-from .outputs import Outputs, Shown
+from .outputs import Outputs
 from .process import flush, logged, process_age, set_up
 from .recorder import RecordedTopic, Recorder
 from .rosout import Rosout
@@ -106,7 +106,7 @@ class FingerNode(Node):  # type: ignore[misc]
         self._loop = Ticker(scene.dt, self._prepare, parts, self._take_all, triggers, self.get_clock(), log)
         self.add_on_set_parameters_callback(self._on_set)
         graph = GraphWatch(self, self._inbox.subscriptions)
-        self._scenery = Scenery(self._outputs, self._show)
+        self._scenery = Scenery(self._outputs, self._loop.shown)
         self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._inbox, graph)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
@@ -204,15 +204,6 @@ class FingerNode(Node):  # type: ignore[misc]
         for subscription in super().subscriptions:
             if subscription not in (*self._inbox.subscriptions, self._rosout.entity):
                 yield subscription
-
-    def _show(self, whole: bool) -> Future[Shown | None]:
-        """A body between two steps, for viewers."""
-
-        def shown() -> Shown | None:
-            moment, sim = self._stepper.moment, self._stepper.sim
-            return None if moment is None or sim.time == 0.0 else Shown.of(sim, *moment, whole)
-
-        return self._loop.call(shown)
 
     def _take_all(self, now: int | None) -> list[Command]:
         """What came in by a steady time [ns], or till now, and before the loop was ready."""

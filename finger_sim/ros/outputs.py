@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,7 +17,6 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
-from ..arrays import Floats
 from ..bags import cdr
 from ..bags.changes import EVENTS, EVENTS_QOS
 from ..bags.frames import MOVING, MOVING_QOS, PLANE, STANDING, STANDING_QOS, Frames
@@ -26,10 +25,10 @@ from ..bags.reader import Qos
 from ..bags.template import Template, doubles
 from ..scene import Pose, place
 from ..scene.mesh import TetMesh
-from ..simulation.simulator import Simulator
 from . import messages
 from .options import NodeOptions
 from .recorder import RecordedTopic, Recorder
+from .snapshot import Shown
 
 _TYPES: dict[str, tuple[Any, Qos]] = {
     "mesh_topology": (Mesh, Qos(depth=1, transient_local=True)),
@@ -60,25 +59,6 @@ def ros_qos(qos: Qos) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if qos.reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.transient_local else DurabilityPolicy.VOLATILE,
     )
-
-
-class Shown(NamedTuple):
-    """A body at the end of a step, which no later step changes."""
-
-    pose: Pose
-    plane: Pose | None
-    stamp: int  # of the step [ns]
-    at: int  # steady time at which the step began [ns]
-    positions: Floats  # of the nodes (n, 3) [m], world
-    forces: Floats  # of the plane on each node (n, 3) [N], world
-    strain: Floats  # strain/limit of each tetrahedron (T,)
-
-    @classmethod
-    def of(cls, sim: Simulator, stamp: int, at: int, whole: bool) -> Shown:
-        """To be called between two steps. whole: with the mesh, else arrays are empty."""
-        arrays = (sim.positions, sim.contact_forces, sim.strain_ratio) if whole else (np.zeros(0),) * 3
-        positions, forces, strain = (array.copy() for array in arrays)
-        return cls(sim.pose, sim.plane_pose, stamp, at, positions, forces, strain)
 
 
 class Outputs:

@@ -1,6 +1,6 @@
 """What viewers are sent: the deformed mesh, the coloured surface, and frames, made in a thread of their own.
 
-The loop only copies what is shown, between two steps.
+The loop only copies what is shown, between two steps (snapshot.py).
 """
 
 from __future__ import annotations
@@ -8,14 +8,14 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Future
 
-from .outputs import Outputs, Shown
+from .outputs import Outputs
+from .snapshot import Shown
 
 TF_RATE = 100.0
 """Of messages on /tf [Hz]: recorded, and broadcast where tf2_ros is installed."""
 PATIENCE = 0.5
-"""How long the loop may take to hand over what is shown [s]; after that it is asked anew."""
+"""How long it may take to end [s]."""
 _IDLE = 0.1
 """Time between two looks at whether anything is to be shown [s]."""
 
@@ -23,10 +23,10 @@ _IDLE = 0.1
 class Scenery:
     """Shows what is due, from `start` to `stop`.
 
-    ask : has the loop's thread give a Shown between two steps, whole or not; None before the first step
+    ask : for a Shown of the present, whole or not; None before the first step, and where the loop does not answer
     """
 
-    def __init__(self, outputs: Outputs, ask: Callable[[bool], Future[Shown | None]]) -> None:
+    def __init__(self, outputs: Outputs, ask: Callable[[bool], Shown | None]) -> None:
         self._outputs, self._ask = outputs, ask
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="scenery", daemon=True)
@@ -61,12 +61,7 @@ class Scenery:
         }
 
     def _show(self, due: list[str]) -> None:
-        answer = self._ask(due != ["tf"])
-        try:
-            shown = answer.result(PATIENCE)
-        except (TimeoutError, CancelledError):
-            answer.cancel()
-            return
+        shown = self._ask(due != ["tf"])
         rates, now = self._wanted(), time.monotonic()
         for name in due:
             period = 1.0 / rates[name] if rates[name] > 0.0 else 0.0

@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..haptics.budget import Budget, Rung, usable
 from ..haptics.sending import BACK, BECAME_STALE, Sender
 from ..scene import Pose, Scene
 from ..simulation.simulator import Compiled, Simulator
-from .accounts import Recent, Window
+from .accounts import Recent
 from .inbox import Command
 from .options import NodeOptions
 from .outputs import Outputs
-
-
-class Observed(NamedTuple):
-    """What the loop is asked: see Stepper."""
-
-    newest: Callable[[], Command | None]
-    moment: Callable[[], tuple[int, int] | None]
-    take_window: Callable[[], Window]
 
 
 class Stepper:
@@ -43,7 +35,7 @@ class Stepper:
         self.rendering, self.port = self.sender.rendering, self.sender.port
         self.budget: Budget | None = None
         self.rungs: tuple[Rung, ...] = ()
-        self._observed: Observed | None = None
+        self._followed: Callable[[], Command | None] | None = None
         self._outputs, self._log = outputs, log
 
     def prepare(self, progress: Callable[[str], None], meanwhile: Callable[[Compiled], None] | None = None) -> None:
@@ -56,20 +48,15 @@ class Stepper:
 
     @property
     def newest(self) -> Command | None:
-        return self._newest if self._observed is None else self._observed.newest()
+        return self._newest if self._followed is None else self._followed()
 
     @newest.setter
     def newest(self, command: Command) -> None:
         self._newest = command
 
-    @property
-    def moment(self) -> tuple[int, int] | None:
-        """Stamp of the last step, and the steady time at which it began [ns]; None before the first."""
-        return None if self._observed is None else self._observed.moment()
-
-    def observe(self, observed: Observed) -> None:
-        """Steps are made from now on: who makes them knows of them."""
-        self._observed = observed
+    def follow(self, followed: Callable[[], Command | None]) -> None:
+        """Steps are made from now on: who makes them knows the newest command."""
+        self._followed = followed
 
     def place(self, pose: Pose, plane: Pose | None) -> None:
         """The first command ever, and where the plane is wanted by then."""
@@ -94,10 +81,6 @@ class Stepper:
             self._log.warning(f"no command for {self.rendering.timeout:g} s: holding the pose, device_wrench is zero")
         elif told & BACK:
             self._log.info("commands are back: device_wrench follows the contact again")
-
-    def take_window(self) -> Window:
-        """The steps since the last call."""
-        return Window() if self._observed is None else self._observed.take_window()
 
     def take_rung(self) -> None:
         """Solve as the rung that the budget stands on has it."""

@@ -23,6 +23,7 @@ from ..haptics.budget import Purse, spent
 from ..haptics.coupling import clamped, turned_round
 from ..haptics.path import read, write
 from ..haptics.sending import Sending
+from ..physics.atomics import load_acquire
 from ..physics.compile import kernel, stage
 from ..physics.model import Model, State
 from ..physics.turns import matrix_entries
@@ -31,6 +32,7 @@ from ..simulation.whole import ASLEEP, DONE, FALLS_ASLEEP, FIRST, Body
 from .accounts import MOST_TRANSPORT, Counted, Recent, add, count
 from .memory import bytes_at
 from .pose_bytes import LOOK, read_pose
+from .snapshot import Copied, hand_over, is_there, take_counted
 from .wire import (
     ADDRESS,
     LENGTH,
@@ -169,6 +171,8 @@ class Live(NamedTuple):
     lateness: Recent
     delay: Recent
     transport: Recent
+    shown: Copied
+    reported: Copied
 
 
 def deadlines(period: float) -> Deadlines:
@@ -183,6 +187,7 @@ def run(address: int, model: Model, state: State, live: Live) -> int:
     """Steps until Python is needed; why. address, model, state: see whole.advance."""
     while True:
         if live.stage[0] == _WAIT:
+            _show(state, live)
             if live.deadlines.asked[0] != 0:
                 return ASKED
             if live.answers[0] != 0:
@@ -222,6 +227,19 @@ def run(address: int, model: Model, state: State, live: Live) -> int:
         live.stage[0] = _WAIT
         if live.told[0] != 0:
             return TO_TELL
+
+
+@stage
+def _show(state: State, live: Live) -> None:
+    """Copies for other threads that ask for them."""
+    stamp, at = live.sent.stamp[0], live.deadlines.begun[0]
+    if load_acquire(live.shown.asked, 0) != 0:
+        hand_over(live.shown, state, live.body, stamp, at)
+        is_there(live.shown)
+    if load_acquire(live.reported.asked, 0) != 0:
+        hand_over(live.reported, state, live.body, stamp, at)
+        take_counted(live.reported, live.counted)
+        is_there(live.reported)
 
 
 @stage
@@ -289,8 +307,7 @@ def let_go(live: Live, now: int, stamp: int) -> bool:
     for i in range(6):
         sent.device[i] = 0.0
     _render(live, age, 0.0)
-    sent.stamp[0] = stamp
-    _fill_one(live, DEVICE, sent.device, now)
+    _fill_one(live, DEVICE, sent.device, stamp, now)
     if live.by_hand[0] == 0:
         _publish(live, DEVICE)
     return True
@@ -344,9 +361,10 @@ def _fill(state: State, live: Live) -> None:
         clamped(device, rendered.force_limit[0], rendered.torque_limit[0], device)
         _render(live, 1e-9 * (begun - heard.received[0]), 1e-9 * (steady_ns(live.clock) - begun))
     _express(contact, pose, sent.axes[0])
-    _fill_one(live, DEVICE, device, begun)
-    _fill_one(live, CONTACT, contact, begun)
-    _fill_one(live, POSE, pose, begun)
+    stamp = sent.stamp[0]
+    _fill_one(live, DEVICE, device, stamp, begun)
+    _fill_one(live, CONTACT, contact, stamp, begun)
+    _fill_one(live, POSE, pose, stamp, begun)
 
 
 @stage
@@ -360,10 +378,10 @@ def _render(live: Live, age: float, took: float) -> None:
 
 
 @stage
-def _fill_one(live: Live, which: int, numbers: Floats, at: int) -> None:
-    """A message is made, and recorded as of that time."""
+def _fill_one(live: Live, which: int, numbers: Floats, stamp: int, at: int) -> None:
+    """A message is made, and recorded as of that steady time."""
     sent = live.sent
-    fill(live.outgoing, which, sent.stamp[0], numbers)
+    fill(live.outgoing, which, stamp, numbers)
     data = bytes_at(live.outgoing.messages[which, ADDRESS], live.outgoing.messages[which, LENGTH])
     recording.put(live.recording, sent.topics[which], at, data, data.shape[0])
 

@@ -19,7 +19,7 @@ from ..physics.records import direct, held
 from ..scene import Pose
 from ..simulation.simulator import Compiled
 from . import tick
-from .accounts import Window, nothing_counted
+from .accounts import nothing_counted
 from .endpoints import Endpoints
 from .inbox import Command, Inbox
 from .loop import IDLE_PERIOD, Loop, StepCounts, Triggers
@@ -27,13 +27,19 @@ from .messages import time_of
 from .outputs import Outputs
 from .pose_bytes import frame_bytes
 from .rcl import meaning
-from .stepper import Observed, Stepper
+from .snapshot import Shown, Snapshot
+from .stepper import Stepper
 from .tick import Heard, Live, Sent, deadlines
 from .wire import UNFIT
+
+_PATIENCE = 0.5
+"""How long the loop may take to hand over what is shown [s]; after that it is asked anew."""
 
 
 class Ticker(Loop):
     """Makes steps every `period` [s], or one for each command.
+
+    reported : what diagnostics tell of, for one thread
 
     take     : commands that came by a steady time [ns], or till now; poses of the plane go to the Stepper
     triggers : commands that wait for their steps; None: steps have deadlines
@@ -65,13 +71,12 @@ class Ticker(Loop):
 
     def compile(self, compiled: Compiled) -> None:
         """Compiles what will step, for the types of a Simulator to be, where it is not there yet."""
-        self._make()
+        self._make(compiled)
         self._bind(compiled, self._parts(compiled, None, None))
 
     def load(self, tell: Callable[[str], None]) -> None:
         """Compiles or loads what steps, once there is a Simulator."""
         with compiling(tell, tick.KERNELS):
-            self._make()
             self._arranged: tuple[Any, ...] = ()
             self._arrange()
         self._inbox.also = self._heard.commands
@@ -80,6 +85,12 @@ class Ticker(Loop):
     def release(self) -> None:
         """Lets publishers and subscriptions go, once the thread has ended."""
         self._endpoints.release()
+
+    def shown(self, whole: bool) -> Shown | None:
+        """The body after its last step, whole or not, for one thread; None before that, or of a loop that stands."""
+        if not self.ready or not self._shown.take(_PATIENCE):
+            return None
+        return self._shown.shown(self._stepper.sim, whole)
 
     def _ask(self) -> None:
         self._grid.asked[0] = 1
@@ -158,9 +169,11 @@ class Ticker(Loop):
         for which in range(len(self._outputs.stepped_topics)):
             self._endpoints.send(which)
 
-    def _make(self) -> None:
+    def _make(self, compiled: Compiled) -> None:
         """The parts of what compiled code works on that are its own."""
         options = self._outputs.options
+        state = getattr(compiled.state, "record", compiled.state)
+        self._shown, self.reported = Snapshot(state), Snapshot(state)
         self._heard = Heard(
             newest=np.zeros(7), received=_one(), stamp=_one(), transport=np.zeros(1), before=np.zeros(7), fresh=_one(),
             zero=_one(), commands=_one(), looked=np.full(2, time.monotonic_ns()),
@@ -178,7 +191,7 @@ class Ticker(Loop):
         if newest is not None and self._triggers is None:
             self._follow(newest)
         self._shift()
-        self._stepper.observe(Observed(self._newest, self._moment, lambda: Window.of(self._counted)))
+        self._stepper.follow(self._newest)
         self._grid.origin[0] = self._grid.last[0] = time.monotonic_ns()
 
     def _newest(self) -> Command | None:
@@ -187,10 +200,6 @@ class Ticker(Loop):
         if heard.received[0] == 0:
             return None
         return Command(pose_of(heard.newest), int(heard.received[0]), float(heard.transport[0]), int(heard.stamp[0]))
-
-    def _moment(self) -> tuple[int, int] | None:
-        """Stamp of the last step, and the steady time at which it began [ns]."""
-        return (int(self._sent.stamp[0]), int(self._grid.begun[0])) if self._grid.steps[0] else None
 
     def _arrange(self) -> None:
         """What compiled code works on, as it is now."""
@@ -215,7 +224,7 @@ class Ticker(Loop):
         return Live(
             *self._flow, incoming.clock, self._grid, self._heard, self._sent, compiled.body, stepper.sender.record,
             purse or build_purse(), incoming, outgoing, recording or no_recording(), self._counted, self.step_time,
-            self.lateness, stepper.delay, stepper.transport,
+            self.lateness, stepper.delay, stepper.transport, self._shown.record, self.reported.record,
         )  # fmt: skip
 
     def _bind(self, compiled: Compiled, live: Live) -> None:

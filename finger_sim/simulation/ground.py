@@ -21,6 +21,14 @@ KERNELS = (*carrying.KERNELS, plane_frame)
 """What a Ground calls."""
 
 
+def frame_of(placed: Floats, pose: Floats, normal: Floats, point: Floats) -> Pose:
+    """Ground.frame of the arrays of a Table."""
+    if placed[0] != 0.0:
+        return pose_of(pose)
+    (a, b, c), (x, y, z) = normal.tolist(), point.tolist()
+    return Pose((x, y, z), turned((a, b, c), (0.0, 0.0, 1.0)))
+
+
 class Ground:
     """Where a plane is, and how fast; compiled code moves it (haptics/carrying.py).
 
@@ -51,10 +59,8 @@ class Ground:
     @property
     def frame(self) -> Pose:
         """The plane is the x-y plane of this pose now, its z the outward normal, world; before any target too."""
-        if self.table.placed[0] != 0.0:
-            return pose_of(self.table.pose)
-        normal, point = self.surface
-        return Pose(point, turned(normal, (0.0, 0.0, 1.0)))
+        table = self.table
+        return frame_of(table.placed, table.pose, table.normal, table.point)
 
     @property
     def twist(self) -> Floats:

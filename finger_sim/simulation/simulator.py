@@ -21,7 +21,7 @@ from ..haptics.sending import load
 from ..physics.clock import STAGES
 from ..physics.compile import compiling
 from ..physics.ready import kernels as ready_kernels
-from ..physics.ready import measure_strains, ready, refresh, step_beside
+from ..physics.ready import measure_strains, ready, refresh, step_beside, strains_of
 from ..physics.records import direct, held
 from ..physics.rotations import matrix
 from ..physics.work import WORK
@@ -345,6 +345,10 @@ class Simulator:
         """strain/limit of each tetrahedron (T,), 1: exactly at its limit, 0 without limits; read-only."""
         measure_strains(self._ready)
         return read_only(self._state.strain_ratio)
+
+    def strains_of(self, bounded: Floats, ratios: Floats) -> Floats:
+        """strain/limit (T,), as `strain_ratio`, of copies of State.limit_strain and strain_ratio; of another thread."""
+        return strains_of(self._ready, bounded, ratios)
 
     def _use(self, scene: Scene) -> None:
         """The live values of a scene."""

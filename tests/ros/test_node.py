@@ -522,6 +522,7 @@ class Stuck(node.Ticker):
 
     def _run_compiled(self):
         self.left -= 1
+        self._ask()  # for a turn after the next step
         if self.left < 0:
             {then}
         return super()._run_compiled()
