@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import os
+import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +30,52 @@ def main() -> None:
     parser.add_argument("--substeps", type=int, help="of a step; 10 at 1000 Hz: steps of 0.1 ms (default: the scene's)")
     parser.add_argument("--priority", type=int, default=PRIORITY, help="of the loops; 0: as any other thread")
     parser.add_argument("--pairs", type=int, default=5)
+    parser.add_argument("--guide", action="store_true", help="instead: what each measure of the guide brings, in turn")
+    parser.add_argument("--busy", type=int, default=0, help="processes that do nothing but take time, meanwhile")
     args = parser.parse_args()
+    with busy(args.busy):
+        if args.guide:
+            guide(args.scene, args.rate, args.pairs)
+        else:
+            pairs(args)
+
+
+@contextlib.contextmanager
+def busy(count: int) -> Iterator[None]:
+    """So many processes run meanwhile."""
+    processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def guide(scene: str, rate: float, rounds: int) -> None:
+    """Late steps of the demo with one measure after the other, in turn."""
+    last = str(max(os.sched_getaffinity(0)))
+    measures: dict[str, tuple[int, dict[str, object]]] = {
+        "no priority": (0, {}),
+        "priority": (PRIORITY, {}),
+        "a processor": (PRIORITY, {"cpu_affinity": last}),
+        "memory": (PRIORITY, {"cpu_affinity": last, "lock_memory": True}),
+    }
+    late: dict[str, list[float]] = {name: [] for name in measures}
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(rounds):
+            for name, (priority, options) in measures.items():
+                out = Path(folder) / f"{name} {number}"
+                outcome = run_demo(scene, out=out, rate=rate, priority=priority, options=options)
+                late[name].append(100 * outcome.late)
+                print(f"{name:>12} {late[name][-1]:6.2f} % late", *outcome.failures, sep="   ", flush=True)
+    print()
+    for name, found in late.items():
+        print(f"{name:>12} {np.median(found):6.2f} % late, {min(found):.2f} to {max(found):.2f}")
+
+
+def pairs(args: argparse.Namespace) -> None:
+    """The demo and a bare loop in turn."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         scene = Scene.load(args.scene)

@@ -1,5 +1,8 @@
 """What recording costs the node's loop: slices with and without it in turn, within one run of the node.
 
+With --everything, what all that is not a step costs: in slices with a recording there are a viewer of the mesh, one of
+the marker, and a storm of parameters, set and asked for, too; in those without there is nothing of it.
+
 A thread here sends commands at the loop's rate, the strokes of a bag forth and back; one viewer has subscribed to
 mesh_points. The figures are the node's own, of its diagnostics; the first second of a slice does not count.
 """
@@ -25,6 +28,8 @@ from finger_sim.scene.resources import find_bag
 
 RATE = 1000.0
 """[Hz]"""
+STORM = 20.0
+"""Parameters that are set, and questions for three, in a second."""
 COLUMNS = ("recording", "late %", "step ms", "p99 ms", "node CPU", "writer CPU", "messages", "dropped")
 
 
@@ -36,6 +41,7 @@ def main() -> None:
     parser.add_argument("--slice", type=float, default=10.0, help="length of a slice [s]")
     parser.add_argument("--pairs", type=int, default=8, help="of slices without and with a recording")
     parser.add_argument("--long", type=float, help="instead: one recording of so many seconds between two slices")
+    parser.add_argument("--everything", action="store_true", help="viewers and parameters in the slices with, too")
     parser.add_argument("--folder", type=Path, help="where the bags are made for a while (default: a temporary one)")
     args = parser.parse_args()
     os.environ.update(environment())
@@ -47,7 +53,7 @@ def main() -> None:
         with running_node(parameters) as (process, _):
             assert process.stderr is not None
             threading.Thread(target=process.stderr.read, daemon=True).start()
-            with Bench(process.pid, read_commands(find_bag(args.bag))) as bench:
+            with Bench(process.pid, read_commands(find_bag(args.bag)), args.everything) as bench:
                 if args.long is None:
                     lengths = [(args.slice, on) for _ in range(args.pairs) for on in (False, True)]
                 else:
@@ -89,13 +95,16 @@ class Slice:
 class Bench:
     """A commander and a viewer of the node with process id `node`."""
 
-    def __init__(self, node: int, commands: Commands) -> None:
+    def __init__(self, node: int, commands: Commands, everything: bool) -> None:
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
         from geometry_msgs.msg import PoseStamped
+        from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+        from rcl_interfaces.srv import GetParameters, SetParameters
         from rclpy.executors import SingleThreadedExecutor
         from sensor_msgs.msg import PointCloud2
         from std_srvs.srv import SetBool
+        from visualization_msgs.msg import Marker
 
         self.pids = (node, bag_process(node))
         self.reports: list[dict[str, str]] = []
@@ -105,7 +114,27 @@ class Bench:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, 10)
-        self.node.create_subscription(PointCloud2, "mesh_points", lambda _: None, 5, raw=True)
+        self.viewers = [(PointCloud2, "mesh_points"), *([(Marker, "mesh_marker")] if everything else [])]
+        self.views = []
+        self.everything = everything
+        if not everything:
+            self._view()
+        self.set = self.node.create_client(SetParameters, "/finger/set_parameters")
+        self.get = self.node.create_client(GetParameters, "/finger/get_parameters")
+        self.sets = (
+            SetParameters.Request(
+                parameters=[
+                    Parameter(
+                        name="plane.friction",
+                        value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=0.5 + 0.001 * k),
+                    )
+                ]
+            )
+            for k in itertools.cycle(range(100))
+        )
+        self.gets = GetParameters.Request(names=["plane.friction", "dt", "solver.tolerance"])
+        self.storm = self.node.create_timer(1.0 / STORM, self._storm)
+        self.storm.cancel()
         self.record = self.node.create_client(SetBool, "/finger/record")
         self.request = SetBool.Request
         self.publisher = self.node.create_publisher(PoseStamped, "command_pose", 10)
@@ -132,6 +161,9 @@ class Bench:
         """So long with or without a recording."""
         if on:
             self._ask(True)
+            if self.everything:
+                self._view()
+                self.storm.reset()
         self.motion = itertools.cycle(self.poses)  # each slice sees the same of it
         first = len(self.reports)
         end = time.monotonic() + seconds
@@ -146,11 +178,22 @@ class Bench:
         found = Slice(
             100.0 * late / steps, float(after["step time p50 [ms]"]), float(after["step time p99 [ms]"]), *spent
         )
+        if on and self.everything:
+            self.storm.cancel()
+            while self.views:
+                self.node.destroy_subscription(self.views.pop())
         if on:
             path, counts = self._ask(False).rsplit(": ", 1)
             found.bag = Path(path)
             found.messages, found.dropped = (int(word.split()[0]) for word in counts.split(", "))
         return found
+
+    def _view(self) -> None:
+        self.views = [self.node.create_subscription(*what, lambda _: None, 5, raw=True) for what in self.viewers]
+
+    def _storm(self) -> None:
+        self.set.call_async(next(self.sets))
+        self.get.call_async(self.gets)
 
     def _ask(self, on: bool) -> str:
         """What ~/record answers."""

@@ -15,6 +15,7 @@ from . import pgs, strain_limits, svd
 from .methods import NONE, PGS, TENSOR
 from .model import Model, State
 from .others import address_of, calls
+from .records import Pointed
 
 
 def needed_by(model: Model) -> dict[str, Any]:
@@ -27,12 +28,14 @@ def needed_by(model: Model) -> dict[str, Any]:
     return needed
 
 
-def bound(model: Model, kinds: tuple[Any, Any]) -> Model:
-    """The Model with the addresses, once all is compiled or loaded. kinds: numba's types of it and of its State."""
+def bound(model: Model, state: Any) -> Model:
+    """The Model with the addresses, once all is compiled or loaded. state: numba's type of its State."""
     more = {"decompose_at": (), "limit_rows_at": _ROWS, "sweeps_at": _SWEEPS}
     addresses: dict[str, Any] = {}
     for field, kernel in needed_by(model).items():
-        given = (*kinds, *more[field])
+        if getattr(model, field) != 0:
+            continue
+        given = (Pointed(model).kind, state, *more[field])
         kernel.compile(given)
         addresses[field] = address_of(kernel, given)
     return model._replace(**addresses)

@@ -34,15 +34,17 @@ def kernels(model: Model) -> tuple[Any, ...]:
 
 
 @contextlib.contextmanager
-def step_beside(model: Model, state: State) -> Iterator[None]:
-    """A block for what does not need the step: meanwhile a second process compiles it, where it is not there yet."""
+def step_beside(model: Model, state: State) -> Iterator[Model]:
+    """A block for what does not need the step: meanwhile a second process compiles it, where it is not there yet.
+
+    Gives the Model with all addresses that `ready` would find (apart.py).
+    """
     if numba.config.DISABLE_JIT:
-        yield
+        yield model
         return
-    kinds = (Pointed(model).kind, Pointed(state).kind)
-    with compiled_beside(step, (*kinds, *_REST)):
-        bound(model, kinds)
-        yield
+    body = Pointed(state).kind
+    with compiled_beside(step, (Pointed(model).kind, body, *_REST)):
+        yield bound(model, body)
 
 
 class Ready(NamedTuple):
@@ -56,12 +58,17 @@ class Ready(NamedTuple):
     address: int  # of its machine code, for `step_at`
 
 
-def ready(model: Model, state: State) -> Ready:
-    """Both as addresses. A changed Model (with_live_values) needs a new one; arrays are shared, not copied."""
+def ready(model: Model, state: State, before: Ready | None = None) -> Ready:
+    """Both as addresses; arrays are shared, not copied.
+
+    A changed Model (with_live_values) needs a new one, which is soon made of the one before with the same State.
+    """
     if numba.config.DISABLE_JIT:
         return Ready(model, state, state, model.projection, step, 0)
+    if before is not None:
+        return before._replace(model=before.model.changed(model))
     body = Pointed(state)
-    pointed = Pointed(bound(model, (Pointed(model).kind, body.kind)))
+    pointed = Pointed(bound(model, body.kind))
     kinds = (pointed.kind, body.kind, *_REST)
     run = step.compile(kinds)  # type: ignore[attr-defined]
     return Ready(pointed, body, state, model.projection, run, address_of(step, kinds))

@@ -55,6 +55,7 @@ def run_demo(
     priority: int = PRIORITY,
     duration: float | None = None,
     topic: str | None = None,
+    options: Mapping[str, object] | None = None,
 ) -> Outcome:
     """Measures a bare loop, starts the node, plays the commands of `bag` at it over ROS 2, records, draws, sums up.
 
@@ -64,6 +65,7 @@ def run_demo(
     rate     : steps a second, instead of the scene's dt [Hz]
     priority : of the loop under SCHED_FIFO, where that is permitted; 0: none
     duration : of the commands that are played [s]; all of them if left out
+    options  : further parameters of the node
     Raises DemoError when the node or the recording fails, and other FingerSimErrors for what was asked for.
     """
     require_ros()
@@ -86,6 +88,7 @@ def run_demo(
         "record": str(recording.resolve()),
         "world_frame": frame,
         "realtime_priority": priority,
+        **(options or {}),
     }
     length = commands.duration if duration is None else min(duration, commands.duration)
     floor = bare_loop(loaded.dt, min(FLOOR_TIME, length), priority)

@@ -30,6 +30,7 @@ from .accounts import Recent
 IDLE_PERIOD = 0.01
 """How often a triggered loop looks at the time while nothing triggers it [s]."""
 _PR_SET_TIMERSLACK = 29  # of prctl(2)
+_MCL_CURRENT, _MCL_FUTURE = 1, 2  # of mlockall(2)
 
 
 class StepCounts(NamedTuple):
@@ -218,6 +219,20 @@ def prefer_this_thread(priority: int) -> str | None:
             f"put the line '{_user()} - rtprio {priority}' into /etc/security/limits.d/finger_sim.conf and log in anew"
         )
     return None
+
+
+def keep_in_memory() -> str | None:
+    """What this process has and will have of memory stays in RAM: no step waits for a page that was put aside.
+
+    Where that is not permitted, what to tell a user; nothing has changed then.
+    """
+    if ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0:
+        return None
+    why = os.strerror(ctypes.get_errno())
+    return (
+        f"memory cannot be locked here ({why}): it stays as it is; to permit it, put the line "
+        f"'{_user()} - memlock unlimited' into /etc/security/limits.d/finger_sim.conf and log in anew"
+    )
 
 
 def _user() -> str:

@@ -44,7 +44,7 @@ from .diagnostics import Reporter
 from .given import unreached
 from .graph_watch import GraphWatch
 from .inbox import Command, Inbox
-from .loop import StepCounts, Triggers, prefer_this_thread
+from .loop import StepCounts, Triggers, keep_in_memory, prefer_this_thread
 from .messages import time_of
 from .options import NodeOptions
 from .outputs import Outputs
@@ -166,6 +166,9 @@ class FingerNode(Node):  # type: ignore[misc]
         self._loop.load(self._on_progress)
         if self._outputs.options.record:
             self._record(bag_path("record", self._outputs.options.record))
+        if self._outputs.options.lock_memory:
+            refused = keep_in_memory()
+            self.get_logger().info(refused or "all memory is locked")
         priority = self._place_this_thread(self._outputs.options.realtime_priority)
         # A full collection would look at every object numba made: 150 ms in which no step can begin.
         gc.collect()

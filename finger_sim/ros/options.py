@@ -79,6 +79,9 @@ class NodeOptions:
         low=0,
         high=99,
     )
+    lock_memory: bool = field(
+        "bool", "Whether all memory of the node stays in RAM (mlockall), where the system permits it", default=False
+    )
     force_scale: float = field(
         "float",
         "What the clamped device_wrench is multiplied by; the clamps hold after it too",

@@ -109,7 +109,7 @@ class Simulator:
         self._touch = touch
         kernels = (*ready_kernels(self._model), *DRIVE_KERNELS, *GROUND_KERNELS, *STEP_KERNELS, *SENDING_KERNELS)
         with compiling(tell, kernels):
-            with step_beside(self._model, self._state):
+            with step_beside(self._model, self._state) as self._model:
                 self._drive = Drive(
                     scene.initial_pose, self._rest_driven, self._centre if self._driven else None, self._yields,
                     self._state.target, self._ground.table,
@@ -122,6 +122,8 @@ class Simulator:
                 direct(whole.advance, *self._advanced(model, state))
                 if meanwhile is not None:
                     meanwhile(Compiled(0, model, state, self._body))
+            self._ready = ready(self._model, self._state)
+            self._advance = direct(whole.advance, *self._advanced(self._ready.model, self._ready.state))
             self._use(scene)
             # Every kernel that a run will call is compiled or loaded here.
             self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
@@ -354,10 +356,9 @@ class Simulator:
         """The live values of a scene."""
         body = self._body
         self._model = with_live_values(self._model, scene)
-        self._ready = ready(self._model, self._state)
+        self._ready = ready(self._model, self._state, self._ready)
         self.compiled = Compiled(self._ready.address, self._ready.model, self._ready.state, self._body)
         """What compiled code steps; another one after `apply` and `solve_with`."""
-        self._advance = direct(whole.advance, *self._advanced(self._ready.model, self._ready.state))
         body.dt[0], body.substeps[0], body.mode[0] = scene.dt, scene.substeps, MODES[scene.coupling.following]
         self._drive.allow(scene.coupling)
         self._ground.allow(scene.coupling)

@@ -31,7 +31,7 @@ with compiling(lambda text: print(text, flush=True), [step]):
         print(*(process.pid for process in seen), flush=True)
         MEANWHILE
     print(step(1.0))
-print(sum(step.stats.cache_hits.values()), sum(step.stats.cache_misses.values()), [p.poll() for p in seen])
+print(sum(step.stats.cache_hits.values()), sum(step.stats.cache_misses.values()))
 """
 COMPILED = ["compiling kernels: 50 % of 2", "compiling kernels: 100 % of 2"]
 
@@ -47,8 +47,8 @@ def test_what_the_second_process_compiled_is_loaded(tmp_path: Path) -> None:
     assert told.startswith("compiling kernels: once")
     assert int(pid) > 0
     assert rest == COMPILED
-    assert (value, last[:3]) == ("12.0", "1 0")
-    assert finish(start(package, tmp_path / "cache", code())) == ["loading compiled kernels", "", "12.0", "1 0 []"]
+    assert (value, last) == ("12.0", "1 0")
+    assert finish(start(package, tmp_path / "cache", code())) == ["loading compiled kernels", "", "12.0", "1 0"]
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_without_its_help_the_kernel_is_compiled_here(
     _, pid, *told, value, last = finish(start(tiny(tmp_path / "package"), tmp_path, code(before, meanwhile)))
     assert (pid != "") == second
     assert told == COMPILED
-    assert (value, last[:3]) == ("12.0", "0 1")
+    assert (value, last) == ("12.0", "0 1")
 
 
 def slowly(package: Path) -> None:

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from finger_sim.ros import loop as module
-from finger_sim.ros.loop import Loop, RateLoop, StepCounts, Triggers, prefer_this_thread
+from finger_sim.ros.loop import Loop, RateLoop, StepCounts, Triggers, keep_in_memory, prefer_this_thread
 
 
 class Clock:
@@ -108,6 +108,31 @@ def test_an_error_in_a_step_ends_the_loop_and_is_kept():
     loop._thread.join(60.0)
     assert isinstance(loop.error, StopIteration)
     assert loop.progress.steps == 2
+
+
+class Libc:
+    """Stands in for the C library; `code` is what mlockall gives."""
+
+    def __init__(self, code: int) -> None:
+        self.code, self.flags = code, -1
+
+    def mlockall(self, flags: int) -> int:
+        self.flags = flags
+        return self.code
+
+
+def test_memory_that_cannot_be_locked_is_told_with_what_permits_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of now and of later; the line for the system's limits names the user."""
+    libc = Libc(0)
+    monkeypatch.setattr(module.ctypes, "CDLL", lambda *_, **__: libc)
+    assert keep_in_memory() is None
+    assert libc.flags == 3
+    libc.code = -1
+    monkeypatch.setattr(module.ctypes, "get_errno", lambda: 12)
+    refused = keep_in_memory()
+    assert refused is not None
+    assert "Cannot allocate memory" in refused
+    assert f"'{getpass.getuser()} - memlock unlimited'" in refused
 
 
 def test_a_priority_that_is_not_permitted_is_told_with_what_permits_it(monkeypatch: pytest.MonkeyPatch) -> None:
