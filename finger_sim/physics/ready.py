@@ -18,7 +18,7 @@ from .kinematics import kinematics
 from .methods import NONE, TENSOR
 from .model import Model, State
 from .others import address_of, call_at
-from .records import Pointed, held
+from .records import Pointed, changed, held
 from .step import step
 from .strain_limits import find_bounded, strain_ratio
 from .svd import decompose
@@ -66,7 +66,7 @@ def ready(model: Model, state: State, before: Ready | None = None) -> Ready:
     if numba.config.DISABLE_JIT:
         return Ready(model, state, state, model.projection, step, 0)
     if before is not None:
-        return before._replace(model=before.model.changed(model))
+        return before._replace(model=changed(before.model, model))
     body = Pointed(state)
     pointed = Pointed(bound(model, body.kind))
     kinds = (pointed.kind, body.kind, *_REST)

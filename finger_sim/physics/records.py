@@ -105,6 +105,11 @@ def held(record: Any) -> Any:
     return record if numba.config.DISABLE_JIT else Pointed(record)
 
 
+def changed(before: Any, record: Any) -> Any:
+    """`held` of another record of the same kind, most of whose fields are the very same."""
+    return before.changed(record) if isinstance(before, Pointed) else record
+
+
 class Entry(Generic[T]):
     """An attribute of objects that have a `record`: the number in the field of that name, of size 1."""
 

@@ -37,6 +37,7 @@ from ..bags.template import Template
 from ..errors import FingerSimError, SceneError
 from ..plain import printing
 from ..scene import Pose, Scene
+from ..simulation.simulator import Changed
 from . import parameters, rclpy_private
 from .bag_paths import bag_path, free_name
 from .bag_pipe import Standby
@@ -228,18 +229,20 @@ class FingerNode(Node):  # type: ignore[misc]
             changes, options = parameters.live_changes(given, self._stepper.scene, self._outputs.options)
             event = parameters.event(self.get_fully_qualified_name(), given)
             if changes or self._loop.ready:
-                self._ask(self._loop.call(lambda: self._change(changes, options, event)))
+                self._require_ready()
+                changed = self._stepper.sim.changed(changes) if changes else None
+                self._ask(self._loop.call(lambda: self._change(changed, options, event)))
             else:
                 with self._beginning:
-                    self._change(changes, options, event)
+                    self._change(None, options, event)
         except FingerSimError as error:
             return SetParametersResult(successful=False, reason=" ".join(str(error).split()))
         return SetParametersResult(successful=True)
 
-    def _change(self, changes: dict[str, Any], options: NodeOptions, event: Template) -> None:
+    def _change(self, changed: Changed | None, options: NodeOptions, event: Template) -> None:
         """Takes new values, between two steps where there are some, and records from when on they hold."""
-        if changes:
-            self._stepper.apply(changes, options)
+        if changed is not None:
+            self._stepper.apply(changed, options)
         else:
             self._outputs.options = options
         self._outputs.record(EVENTS, event.fill(time_of(self.get_clock())))
@@ -270,8 +273,7 @@ class FingerNode(Node):  # type: ignore[misc]
             if not request.data and not recording:
                 why = f": {recorder.summary()}" if recorder and recorder.error else ""
                 raise FingerSimError(f"nothing is being recorded{why}")
-            if not self._loop.ready:
-                raise FingerSimError(f"not ready: {self._progress}")
+            self._require_ready()
             if request.data:
                 recorder = self._record(free_name(self._bags))
                 response.success, response.message = True, f"recording {recorder.path}"
@@ -307,6 +309,11 @@ class FingerNode(Node):  # type: ignore[misc]
         self._rosout.record()
         recorder.close(origin={"reached": block_text(self._loop.progress.since(self._recorded_from))})
         self.get_logger().info(f"recorded {recorder.summary()}")
+
+    def _require_ready(self) -> None:
+        """Raises FingerSimError."""
+        if not self._loop.ready:
+            raise FingerSimError(f"not ready: {self._progress}")
 
     def _ask(self, answer: Future[Any]) -> Any:
         """What the loop answers. Raises FingerSimError when it does not."""

@@ -8,7 +8,7 @@ from typing import Any
 from ..haptics.budget import Budget, Rung, usable
 from ..haptics.sending import BACK, BECAME_STALE, Sender
 from ..scene import Pose, Scene
-from ..simulation.simulator import Compiled, Simulator
+from ..simulation.simulator import Changed, Compiled, Simulator
 from .accounts import Recent
 from .inbox import Command
 from .options import NodeOptions
@@ -92,9 +92,9 @@ class Stepper:
         self.sim.reset()
         return self.sim.pose
 
-    def apply(self, changes: dict[str, Any], options: NodeOptions) -> None:
-        """Changes live values of the scene, and the node's options with them. Raises SceneError."""
-        self.sim.apply(changes)
+    def apply(self, changed: Changed, options: NodeOptions) -> None:
+        """Live values of the scene from the next step on, and the node's options with them."""
+        self.sim.use(changed)
         self._outputs.options = options
         self.scene = self.sim.scene
         self._take_budget()

@@ -15,7 +15,7 @@ from ..errors import FingerSimError
 from ..haptics.budget import Purse, build_purse
 from ..haptics.path import numbers, pose_of
 from ..physics.compile import compiling
-from ..physics.records import direct, held
+from ..physics.records import changed, direct, held
 from ..scene import Pose
 from ..simulation.simulator import Compiled
 from . import tick
@@ -67,6 +67,8 @@ class Ticker(Loop):
         self._wake = self._ask
         self._endpoints = Endpoints(self._outputs.stepped(), self._inbox.subscriptions)
         self._said = ""
+        self._held: Any = None
+        self._no_purse, self._no_recording = build_purse(), no_recording()
         self._shifted: Pose | None = None
 
     def compile(self, compiled: Compiled) -> None:
@@ -223,17 +225,19 @@ class Ticker(Loop):
         incoming, outgoing, stepper = self._endpoints.incoming, self._endpoints.outgoing, self._stepper
         return Live(
             *self._flow, incoming.clock, self._grid, self._heard, self._sent, compiled.body, stepper.sender.record,
-            purse or build_purse(), incoming, outgoing, recording or no_recording(), self._counted, self.step_time,
+            purse or self._no_purse, incoming, outgoing, recording or self._no_recording, self._counted, self.step_time,
             self.lateness, stepper.delay, stepper.transport, self._shown.record, self.reported.record,
         )  # fmt: skip
 
     def _bind(self, compiled: Compiled, live: Live) -> None:
-        self._live, self._held = live, held(live)
+        before, self._live = self._held, live
+        self._held = held(live) if before is None else changed(before, live)
         self._arguments = (compiled.address, compiled.model, compiled.state, self._held)
-        self._function: Callable[..., int] = direct(tick.run, types.int64, *self._arguments[1:])
-        self._hear = direct(tick.hear, self._held, types.int64, types.int64, types.float64)
-        self._answer_to = direct(tick.answer, self._held, types.int64, types.int64)
-        self._let_go = direct(tick.let_go, self._held, types.int64, types.int64)
+        if before is None:
+            self._function: Callable[..., int] = direct(tick.run, types.int64, *self._arguments[1:])
+            self._hear = direct(tick.hear, self._held, types.int64, types.int64, types.float64)
+            self._answer_to = direct(tick.answer, self._held, types.int64, types.int64)
+            self._let_go = direct(tick.let_go, self._held, types.int64, types.int64)
 
     def _look(self) -> None:
         """A message that is not the usual one."""

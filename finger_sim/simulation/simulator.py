@@ -65,6 +65,13 @@ class Compiled(NamedTuple):
     body: Body
 
 
+class Changed(NamedTuple):
+    """A scene with other live values, and whether they say where its plane is."""
+
+    scene: Scene
+    plane: bool
+
+
 class Simulator:
     """A soft body on its scene, stepped by `scene.dt`.
 
@@ -276,13 +283,21 @@ class Simulator:
         A plane goes to another place as to a target of `step`, in a tenth of a second; `reset` puts it there.
         All or none. Raises SceneError when one is out of range, or needs a new Simulator.
         """
+        self.use(self.changed(values))
+
+    def changed(self, values: Mapping[str, Any]) -> Changed:
+        """What `use` takes to do the same: this much of it can be done while steps are made. Raises SceneError."""
         live = {p.name for p in self.scene.parameters() if p.spec.live}
         for key, value in values.items():
             if key not in live:
                 raise SceneError(key, value, f"values that may change while running: {', '.join(sorted(live))}")
-        self.scene = self.scene.with_values(values)
-        if self.scene.plane is not None and values.keys() & _WHERE_PLANES_ARE:
-            self._ground.move(self.scene.plane)
+        return Changed(self.scene.with_values(values), bool(values.keys() & _WHERE_PLANES_ARE))
+
+    def use(self, changed: Changed) -> None:
+        """Changed live values, from the next step on."""
+        self.scene, plane = changed.scene, changed.scene.plane
+        if plane is not None and changed.plane:
+            self._ground.move(plane)
         self._use(self.scene)
 
     def solve_with(self, solver: Solver) -> None:
