@@ -18,7 +18,7 @@ from .kinematics import kinematics
 from .methods import NONE, TENSOR
 from .model import Model, State
 from .others import address_of, call_at
-from .records import Pointed, changed, held
+from .records import Pointed, changed
 from .step import step
 from .strain_limits import find_bounded, strain_ratio
 from .svd import decompose
@@ -110,7 +110,7 @@ def strains_of(both: Ready, bounded: Floats, ratios: Floats) -> Floats:
     """strain/limit of every tetrahedron (T,), for copies of state.limit_strain and strain_ratio, flat."""
     if both.projection == TENSOR:
         copies = both.arrays._replace(limit_strain=bounded.reshape(both.arrays.limit_strain.shape), strain_ratio=ratios)
-        all_strains(both.model, held(copies))
+        all_strains(both.model, changed(both.state, copies))
     return ratios
 
 

@@ -126,11 +126,10 @@ class Simulator:
                 self._place(scene.initial_pose)
                 load()
                 model, state = held(self._model), held(self._state)
-                direct(whole.advance, *self._advanced(model, state))
+                self._advance = direct(whole.advance, types.int64, model, state, self._held, types.float64, types.int64)
                 if meanwhile is not None:
                     meanwhile(Compiled(0, model, state, self._body))
             self._ready = ready(self._model, self._state)
-            self._advance = direct(whole.advance, *self._advanced(self._ready.model, self._ready.state))
             self._use(scene)
             # Every kernel that a run will call is compiled or loaded here.
             self.set_state(self.mesh.points, np.zeros_like(self.mesh.points))
@@ -379,10 +378,6 @@ class Simulator:
         self._ground.allow(scene.coupling)
         self._state.age[0] = 0
         wake(body.guard)
-
-    def _advanced(self, model: Any, state: Any) -> tuple[Any, ...]:
-        """What whole.advance takes, with numba's types of numbers."""
-        return types.int64, model, state, self._held, types.float64, types.int64
 
     def _move_rigidly(self, before: Pose, after: Pose, h: float) -> None:
         """After a rejected step: every node goes with the bone; a body whose bone yields, or that has none, stops."""
