@@ -131,7 +131,8 @@ class Newton(NamedTuple):
     direction: Floats  # (slots, 4) Newton's direction from there
     tried: Floats  # (slots, 4) δ on trial
     best_change: Floats  # (slots, 4) δ of the least residual so far
-    start_residual: Floats  # (slots, 4) b − A v at δ = 0, then what remains at δ
+    remainder: Floats  # (slots, 4) b − A (v + δ)
+    along: Floats  # (slots, 4) what it changes by along `direction`
     next_residual: Floats  # (slots, 4) at the δ on trial
     stiffness: Floats  # (rows,) what each row adds to the Hessian [N/m]: 1 / compliance where it carries a force
     factors: Ints  # (1,) what the factors in L are of: hessian.NONE …

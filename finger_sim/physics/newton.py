@@ -44,7 +44,9 @@ from .tensor_rows import copy_groups, tensor_forces
 from .vectors import add, clear, copy, copy_first, inner, subtract_product
 from .work import CORRECTIONS
 
-_SLACK = 0.5  # a line search ends where dᵀr is within so much of what it was to either side of 0
+# A line search ends where dᵀr is within so much of what it was to either side of 0: one iteration more costs new
+# factors, as long as ten trials. A whole step along old ones, which is rough anyway, may go further past it.
+_SLACK, _TOO_FAR = 0.1, 0.5
 _TRIALS = 12
 _STALLED, _PROGRESS = 20, 0.9  # so many iterations without that much progress end a step
 _STALLS = 12  # after so many, friction's bounds are held
@@ -67,9 +69,10 @@ def newton(
     change, tried, direction, best_change, factors = own.change, own.tried, own.direction, own.best_change, own.factors
     if anew and factors[0] == OF_A:
         factors[0] = OF_ANOTHER
+    slot_velocities(model, state)
     remainder(model, state)
     if rows == 0 and not model.has_bone:
-        copy(direction, own.start_residual)
+        copy(direction, own.remainder)
         lap(state.laps, state.time, SOLVE)
         definite = factors[0] == OF_A or factor_elastic(model, state)
         lap(state.laps, state.time, FACTOR)
@@ -78,7 +81,7 @@ def newton(
         return 0, 0.0, definite
     own.holds[0] = 0
     clear(change)
-    copy(own.next_residual, own.start_residual)
+    copy(own.next_residual, own.remainder)
     residual, missing = evaluate(model, state, h, contacts, rows, change)
     if not missing < math.inf:
         return 0, residual, False
@@ -114,19 +117,7 @@ def newton(
                 return iterations, residual, False
         before = residual
         ascent = newton_direction(model, state, h, contacts, stale)
-        part, low, high, low_ahead, high_ahead = 1.0, 0.0, 1.0, ascent, -ascent
-        for trial in range(_TRIALS):
-            add(tried, change, direction, part)
-            remainder_at(model, state, tried)
-            residual, missing = evaluate(model, state, h, contacts, rows, tried)
-            ahead = inner(direction, own.next_residual)
-            if (ahead >= -_SLACK * ascent and (ahead <= _SLACK * ascent or trial == 0)) or residual <= tolerance:
-                break
-            if ahead > 0.0:
-                low, low_ahead, high_ahead = part, ahead, 0.5 * high_ahead if trial > 1 else high_ahead
-            else:
-                high, high_ahead, low_ahead = part, ahead, 0.5 * low_ahead if trial > 1 else low_ahead
-            part = low + (high - low) * max(0.05, min(0.95, low_ahead / (low_ahead - high_ahead)))
+        residual, missing = search(model, state, h, contacts, rows, tolerance, ascent, stale)
         iterations += 1
         copy(change, tried)
         if not missing < math.inf:
@@ -198,20 +189,43 @@ def newton_direction(model: Model, state: State, h: float, contacts: int, correc
 
 
 @stage
-def remainder(model: Model, state: State) -> None:
-    """b − A v of the free nodes' velocities into state.newton.start_residual."""
-    slot_velocities(model, state)
-    copy(state.newton.start_residual, state.rhs)
-    nf = model.free.shape[0]
-    subtract_product(nf, model.block_row, model.block_column, state.A, state.slot_velocity, state.newton.start_residual)
+def search(
+    model: Model, state: State, h: float, contacts: int, rows: int, tolerance: float, ascent: float, new: bool
+) -> tuple[float, float]:
+    """Go along `direction`, all of it or a part; what `evaluate` gives there, δ in `tried`. new: it is of new factors.
+
+    dᵀr is ascent where it begins, and falls: linearly, but for where rows come to hold or let go.
+    """
+    own, nf = state.newton, model.free.shape[0]
+    direction, along = own.direction, own.along
+    clear(along)
+    subtract_product(nf, model.block_row, model.block_column, state.A, direction, along)
+    too_far = (_SLACK if new else _TOO_FAR) * ascent
+    part, ahead, low, high, low_ahead, high_ahead = 1.0, ascent, 0.0, 1.0, ascent, -ascent
+    residual = missing = math.inf
+    for trial in range(_TRIALS):
+        if trial > 0:
+            if ahead > 0.0:
+                low, low_ahead, high_ahead = part, ahead, 0.5 * high_ahead if trial > 2 else high_ahead
+            else:
+                high, high_ahead, low_ahead = part, ahead, 0.5 * low_ahead if trial > 2 else low_ahead
+            part = low + (high - low) * max(0.05, min(0.95, low_ahead / (low_ahead - high_ahead)))
+        add(own.tried, own.change, direction, part)
+        add(own.next_residual, own.remainder, along, part)
+        residual, missing = evaluate(model, state, h, contacts, rows, own.tried)
+        ahead = inner(direction, own.next_residual)
+        if residual <= tolerance or (ahead >= -too_far if trial == 0 else abs(ahead) <= _SLACK * ascent):
+            break
+    add(own.remainder, own.remainder, along, part)
+    return residual, missing
 
 
 @stage
-def remainder_at(model: Model, state: State, change: Floats) -> None:
-    """b − A (v + δ) at δ = `change` into next_residual."""
-    r = state.newton.next_residual
-    copy(r, state.newton.start_residual)
-    subtract_product(model.free.shape[0], model.block_row, model.block_column, state.A, change, r)
+def remainder(model: Model, state: State) -> None:
+    """b − A v into state.newton.remainder, of the velocities in state.slot_velocity."""
+    own, nf = state.newton, model.free.shape[0]
+    copy(own.remainder, state.rhs)
+    subtract_product(nf, model.block_row, model.block_column, state.A, state.slot_velocity, own.remainder)
 
 
 @stage
@@ -248,7 +262,10 @@ def evaluate_anew(model: Model, state: State, h: float, contacts: int, rows: int
     """`evaluate`, with what it adds to, at the δ that is reached; holds: with friction's bounds as they are held."""
     own = state.newton
     own.holds[0] = 1 if holds else 0
-    remainder_at(model, state, own.change)
+    slot_velocities(model, state)
+    add(state.slot_velocity, state.slot_velocity, own.change, 1.0)
+    remainder(model, state)
+    copy(own.next_residual, own.remainder)
     return evaluate(model, state, h, contacts, rows, own.change)
 
 
