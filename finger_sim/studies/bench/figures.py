@@ -153,6 +153,7 @@ class Records:
     def __init__(self) -> None:
         self.of: dict[Key, Record] = {}
         self.reference: dict[Key, Record] = {}
+        self.others: dict[Key, list[Record]] = {}  # further converged runs
         self.phase: dict[int, NDArray[np.signedinteger]] = {}  # by size, see Motion.phase
 
     def mask(self, size: int, *phases: str) -> Mask:
@@ -202,13 +203,20 @@ class Records:
         return ratio(seconds, theirs) / BEFORE[UNIT_SIZE, scene, phase], note
 
     def error(self, size: int, scene: str, contender: str, phases: tuple[str, ...]) -> tuple[float, str]:
-        """The larger rms error of force in these phases [%], and which one has it."""
+        """The larger rms error of force in these phases [%]; each, and what converged runs differ by."""
         key = Key(size, scene, contender)
         if key not in self.of:
             return math.nan, f"needs --sizes {size}"
         answer, reference = self.of[key].answer, self.reference[key].answer
         found = {phase: 100.0 * errors(answer, reference, self.mask(size, phase))[0] for phase in phases}
-        return max(found.values()), ", ".join(f"{phase} {error:.2g}" for phase, error in found.items())
+        note = ", ".join(f"{phase} {error:.2g}" for phase, error in found.items())
+        for phase in phases:
+            apart = [
+                100.0 * errors(other.answer, reference, self.mask(size, phase))[0] for other in self.others.get(key, [])
+            ]
+            if apart:
+                note += f"; {phase}, converged runs: {', '.join(f'{error:.2g}' for error in apart)}"
+        return max(found.values()), note
 
 
 def figures(records: Records, extras: Mapping[str, tuple[float, str]]) -> list[Figure]:
