@@ -35,13 +35,13 @@ def kinematics(model: Model, state: State) -> None:
 
 
 @stage
-def turned_far(model: Model, state: State) -> bool:
-    """Whether a tetrahedron has turned so far since A was formed that it is to be formed anew."""
+def turned_far(state: State, turn: float) -> bool:
+    """Whether a tetrahedron has turned by more since A was formed; turn: cos² of half the angle."""
     now, then = state.quaternion, state.turned
     for b in range(now.shape[0]):
         along = load8(now, b, 0) * load8(then, b, 0) + load8(now, b, 1) * load8(then, b, 1)
         along = along + load8(now, b, 2) * load8(then, b, 2) + load8(now, b, 3) * load8(then, b, 3)
-        if bits(along * along < model.turn) != 0:
+        if bits(along * along < turn) != 0:
             return True
     return False
 

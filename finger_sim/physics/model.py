@@ -235,6 +235,7 @@ class State(NamedTuple):
     # A bone that yields.
     bone: Floats  # (14,) pose of the bone (finger frame) at the step's start, then at x: position, orientation
     twist: Floats  # (6,) its velocity at its origin [m/s] and angular velocity [rad/s], world
+    twist_start: Floats  # (6,) and at the start of a step that shares A
     coupling: Floats  # (6,) wrench of the spring on the bone in the last step, about its origin, world [N, N m]
 
     # What a step reports, beside x, v and contact_force.
@@ -261,7 +262,7 @@ class State(NamedTuple):
     time: Ints  # (2,) scratch of the clock
 
     # Linearisation: where, and along which velocities.
-    x_start: Floats  # (n, 4) x at the step's start, where a step is linearised more than once
+    x_start: Floats  # (n, 4) x at the step's start, where a step may be taken back or is linearised more than once
     v_start: Floats  # (n, 4) and v
     v_base: Floats  # (n, 4) v that state.x is linearised with
     moving: Floats  # (n, 4) velocities that state.x has not yet moved by: rows look ahead along them

@@ -22,7 +22,7 @@ from .newton import newton
 from .observed import observe_limits
 from .strain_limits import find_bounded
 from .tensor_rows import pack_rows, tensor_rows
-from .vectors import add, copy
+from .vectors import add, copy, copy_first
 from .work import CONTACT_ROWS, LIMITS, LINEAR
 
 
@@ -69,6 +69,9 @@ _SLOW = 3e-3
 # Part of the tolerance that a step of `newton` aims at while the driven nodes stay: what it leaves of the residual is
 # what keeps a body at rest moving. Less costs iterations in every held step, more lets it creep.
 _SETTLED = 1e-6
+# cos² of half the angle that a tetrahedron may turn by until the end of a step that shares A, 0.1 rad: what is left of
+# the stiff part of A's error then moves nodes that little else holds.
+_STRAYED = math.cos(0.05) ** 2
 _EXCEEDED = 1.5  # strain/limit from which on LIMIT_EXCEEDED is set
 
 
@@ -91,28 +94,38 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
         tolerance *= _SETTLED
         if state.held_tets[0] > 0 and state.motion[0] * h < _SLOW * model.length:
             wanted = max(wanted, 1)
-    if model.turn == 1.0 or model.method == PGS or wanted > 0 or turned_far(model, state) or limits_changed(state):
+    if model.turn == 1.0 or model.method == PGS or wanted > 0 or turned_far(state, model.turn) or limits_changed(state):
         state.age[0] = 0
-    if wanted > 0:
+    shares = state.age[0] > 0
+    if shares:
+        copy(state.x_start, state.x)
+        copy_first(state.twist_start, state.twist, state.twist.shape[0])
+    if shares or wanted > 0:
         copy(state.v_start, state.v)
-    for again in range(wanted + 1):
+    while True:
+        for again in range(wanted + 1):
+            if again > 0:
+                relinearise(model, state, targets, h, again)
+            contacts, rows, definite = linear_step(model, state, h, again, tolerance)
+            well = definite and bounded(state.v, _FARTHEST * model.length / h)
+            if not well:
+                break
         if again > 0:
-            relinearise(model, state, targets, h, again)
-        contacts, rows, definite = linear_step(model, state, h, again, tolerance)
-        well = definite and bounded(state.v, _FARTHEST * model.length / h)
-        if not well:
-            break
-    if again > 0:
-        copy(state.x, state.x_start)
-    if not well:
-        state.age[0] = 0
-        state.result[STATUS] = _REJECTED
-        return
-    fastest = integrate(model, state, targets, h)  # x += h v
+            copy(state.x, state.x_start)
+        if well:
+            fastest = integrate(model, state, targets, h)  # x += h v
+            deform(model, state)
+            if not (shares and turned_far(state, _STRAYED)):
+                break
+        elif not shares:
+            state.age[0] = 0
+            state.result[STATUS] = _REJECTED
+            return
+        shares = False  # it has gone where A is no good: once more, with its own
+        put_back(model, state)
     if model.has_bone:
         for i in range(7):
             state.bone[i] = state.bone[7 + i]
-    deform(model, state)
     lap(state.laps, state.time, KINEMATICS)
     state.age[0] += 1
     if model.projection != NONE:
@@ -182,6 +195,21 @@ def relinearise(model: Model, state: State, targets: Floats, h: float, again: in
     deform(model, state)
     if model.projection != NONE:
         find_bounded(model, state)
+
+
+@stage
+def put_back(model: Model, state: State) -> None:
+    """Everything to where the step began; A is to be formed anew."""
+    copy(state.x, state.x_start)
+    copy(state.v, state.v_start)
+    copy_first(state.twist, state.twist_start, state.twist.shape[0])
+    if model.has_bone:
+        for i in range(7):
+            state.bone[7 + i] = state.bone[i]
+    deform(model, state)
+    if model.projection != NONE:
+        find_bounded(model, state)
+    state.age[0] = 0
 
 
 @stage

@@ -99,6 +99,7 @@ def _told_and_reported(model: Model, size: _Sizes) -> dict[str, Any]:
         "target": np.zeros(13),
         "bone": np.zeros(14),
         "twist": np.zeros(6),
+        "twist_start": np.zeros(6),
         "coupling": np.zeros(6),
         "result": np.zeros(11),
         "origin": np.zeros(3),
@@ -123,8 +124,7 @@ def _saved(model: Model, size: _Sizes) -> dict[str, Any]:
 
 
 def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
-    limited = model.projection != NONE
-    again = size.nodes if model.relinearizations or (limited and not size.pgs) else 0
+    again = size.nodes if model.relinearizations or not size.pgs else 0
     return {
         "x_start": aligned(again, 4),
         "v_start": aligned(again, 4),

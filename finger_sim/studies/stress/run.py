@@ -30,8 +30,10 @@ STEP_LIMIT = 20.0
 """Processor time after which a step counts as one that never returns [s]; the slowest of the cases takes 0.01 s."""
 NEAR = 1e-3
 """Of the body's size: so near to the undisturbed twin is recovered."""
-DRIFT = 1e-3
-"""Of the largest force: what a wrench may differ by from that of the second cycle at the same place."""
+DRIFT, SNAP = 1e-3, 2e-2
+"""Of the largest force: what a wrench may differ by from that of the second cycle at the same place, at half of the
+places and anywhere. While a slid finger is lifted, limits let go one after the other, and any tolerance decides which
+comes first: 0.2 to 0.8 % in some 50 steps, also where each is solved to 2e-4."""
 GLANCES = 97
 """From the fourth cycle on, only every so many steps get more than a glance."""
 LET_GO = 10_000
@@ -135,7 +137,7 @@ class _Run:
         self.digest = hashlib.sha256()
         self.steps = self.apart = 0
         self.cycle = np.zeros((len(case.motion), 6))
-        self.drift = 0.0
+        self.drift = np.zeros(len(case.motion))
         self.clock = clock
 
     def outcome(self) -> Outcome:
@@ -158,7 +160,7 @@ class _Run:
             force=watch.force,
             energy_excess=watch.excess,
             recovery=None if case.disturbed is None else self.apart * self.scene.dt,
-            drift=self.drift if case.cycles > 1 else None,
+            drift=float(self.drift.max()) if case.cycles > 1 else None,
             steps=self.steps,
             digest=self.digest.hexdigest(),
         )
@@ -202,7 +204,8 @@ class _Run:
             self.cycle[place_in_cycle] = wrench
         elif cycle > 1:
             peak = np.abs(self.cycle).max(axis=0).reshape(2, 3).max(axis=1).repeat(3) + 1e-300
-            self.drift = max(self.drift, float((np.abs(wrench - self.cycle[place_in_cycle]) / peak).max()))
+            off = float((np.abs(wrench - self.cycle[place_in_cycle]) / peak).max())
+            self.drift[place_in_cycle] = max(self.drift[place_in_cycle], off)
 
     def _judge_end(self) -> None:
         case, watch = self.case, self.watch
@@ -210,8 +213,9 @@ class _Run:
             watch.fail("recovery", f"not met its twin again {case.recovers:.3g} s after the disturbance")
         if watch.force > case.force_limit:
             watch.fail("force", f"{watch.force:.4g} N, allowed: {case.force_limit:.4g} N")
-        if self.drift > DRIFT:
-            watch.fail("drift", f"wrench {self.drift:.2g} of its peak off the second cycle")
+        half, most = float(np.median(self.drift)), float(self.drift.max())
+        if half > DRIFT or most > SNAP:
+            watch.fail("drift", f"wrench {most:.2g} of its peak off the second cycle, {half:.2g} at half of its places")
         if _misshapen(watch.body, self.sim.positions) > BROKEN:
             left = let_go(self.scene, self.sim, self.make)
             if not left <= WHOLE:

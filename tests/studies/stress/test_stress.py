@@ -274,6 +274,13 @@ def test_a_body_that_stays_broken_fails() -> None:
     assert 0.0 < healed.recovery < case.recovers
 
 
+def test_a_step_that_strays_from_a_shared_matrix_is_taken_again() -> None:
+    """One tetrahedron that hangs on a driven node: the matrix of 0.02 rad before had it thrown into the plane."""
+    case = fuzz_case(0, 82)
+    assert case.scene["solver"]["level"] == "lagged"
+    assert run(case).failures == ()
+
+
 def test_drift_and_force_fail() -> None:
     """A wrench that does not repeat from cycle to cycle, and one beyond the force stated."""
     case = dataclasses.replace(small([*press_and_slide(), *move(pose((5e-3, 0, 0)), STILL, 50)]), cycles=4)
