@@ -18,10 +18,11 @@ import numpy as np
 from ..arrays import Bytes, Floats, Ints
 from ..bags import recording
 from ..bags.recording import Recording
-from ..haptics import following, sending
+from ..haptics import following, phase, sending
 from ..haptics.budget import Purse, spent
 from ..haptics.coupling import clamped, turned_round
 from ..haptics.path import read, write
+from ..haptics.phase import Phase
 from ..haptics.sending import Sending
 from ..physics.atomics import load_acquire
 from ..physics.compile import kernel, stage
@@ -66,10 +67,11 @@ WORLD_ALIGNED, FINGER, WORLD = range(3)
 
 
 class Deadlines(NamedTuple):
-    """The grid of a loop, and how far it has come; (1,) each. Deadline k lies at origin + k · period.
+    """The grid of a loop, and how far it has come; (1,) each. Deadline k lies at origin + moved + k · period.
 
     asked    : 1 where somebody wants a turn
     origin, period
+    moved    : so that commands wait little; see haptics/phase.py
     k        : of the present step, or of the next one
     begun    : time at which the step began
     last     : time at which the last one was done
@@ -79,6 +81,7 @@ class Deadlines(NamedTuple):
     asked: Ints
     origin: Ints
     period: Ints
+    moved: Ints
     k: Ints
     begun: Ints
     last: Ints
@@ -158,6 +161,7 @@ class Live(NamedTuple):
     answers: Ints
     clock: Clock
     deadlines: Deadlines
+    phase: Phase
     heard: Heard
     sent: Sent
     body: Body
@@ -245,7 +249,7 @@ def _show(state: State, live: Live) -> None:
 @stage
 def _wait(live: Live) -> None:
     grid, clock = live.deadlines, live.clock
-    deadline = grid.origin[0] + grid.k[0] * grid.period[0]
+    deadline = grid.origin[0] + grid.moved[0] + grid.k[0] * grid.period[0]
     now = steady_ns(clock)
     while now < deadline:
         sleep_until(clock, deadline)
@@ -419,10 +423,12 @@ def _account(live: Live) -> None:
     if live.answers[0] != 0:
         add(live.lateness, 1e-9 * (grid.begun[0] - heard.received[0]))
     else:
-        passed = (now - grid.origin[0]) // grid.period[0]
+        passed = (now - grid.origin[0] - grid.moved[0]) // grid.period[0]
         grid.late[0] += 1 if passed > k else 0
         grid.k[0] = max(k + 1, passed)
         grid.overruns[0] += grid.k[0] - (k + 1)
+        wait = 1e-9 * (grid.begun[0] - heard.received[0]) if heard.fresh[0] != 0 else -1.0
+        grid.moved[0] += int(1e9 * phase.moved(live.phase, 1e-9 * grid.period[0], wait))
     if heard.fresh[0] != 0:
         heard.fresh[0] = 0
         write(heard.before, read(heard.newest))

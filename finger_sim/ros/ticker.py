@@ -14,6 +14,7 @@ from ..bags.recording import Recording, no_recording
 from ..errors import FingerSimError
 from ..haptics.budget import Purse, build_purse
 from ..haptics.path import numbers, pose_of
+from ..haptics.phase import no_phase
 from ..physics.compile import compiling
 from ..physics.records import changed, direct, held
 from ..scene import Pose
@@ -62,7 +63,7 @@ class Ticker(Loop):
         self._stepper, self._outputs, self._inbox = parts
         self._take_commands, self._triggers = take, triggers
         self._clock, self._log = clock, log
-        self._grid = deadlines(period)
+        self._grid, self._phase = deadlines(period), no_phase(period)
         self._loaded = False
         self._wake = self._ask
         self._endpoints = Endpoints(self._outputs.stepped(), self._inbox.subscriptions)
@@ -224,9 +225,10 @@ class Ticker(Loop):
     def _parts(self, compiled: Compiled, recording: Recording | None, purse: Purse | None) -> Live:
         incoming, outgoing, stepper = self._endpoints.incoming, self._endpoints.outgoing, self._stepper
         return Live(
-            *self._flow, incoming.clock, self._grid, self._heard, self._sent, compiled.body, stepper.sender.record,
-            purse or self._no_purse, incoming, outgoing, recording or self._no_recording, self._counted, self.step_time,
-            self.lateness, stepper.delay, stepper.transport, self._shown.record, self.reported.record,
+            *self._flow, incoming.clock, self._grid, self._phase, self._heard, self._sent, compiled.body,
+            stepper.sender.record, purse or self._no_purse, incoming, outgoing, recording or self._no_recording,
+            self._counted, self.step_time, self.lateness, stepper.delay, stepper.transport, self._shown.record,
+            self.reported.record,
         )  # fmt: skip
 
     def _bind(self, compiled: Compiled, live: Live) -> None:

@@ -15,6 +15,6 @@ BEFORE = {
 }
 """Size, scene, phase: its median over that of MuJoCo 4.0 at 350 tetrahedra, in the same phase of one run of `bench`.
 
-Measured on an Intel Xeon with AVX-512, 2026-11-30. On another kind of processor the ratio is another one: on an AMD EPYC
-it was 0.200, 0.191 and 0.125 with limits. There `before` says little; run both commits in turn.
+Measured on an Intel Xeon with AVX-512, 2026-11-30. On another kind of processor the ratio is another one: on an AMD
+EPYC it was 0.200, 0.191 and 0.125 with limits. There `before` says little; run both commits in turn.
 """

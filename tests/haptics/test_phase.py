@@ -1,0 +1,65 @@
+"""Deadlines that are moved to when commands come, against a sender and a loop of plain numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from finger_sim.haptics.phase import moved, no_phase
+
+PERIOD = 1e-3
+STEPS = 12_000
+
+
+def waits(interval: float, jitter: float, moves: bool = True) -> tuple[NDArray[np.float64], int, float]:
+    """Of the commands of the last 4,000 steps [s], how many of these had none, and how far deadlines were moved [s]."""
+    came = 0.3 * PERIOD + interval * np.arange(int(STEPS * PERIOD / interval) + 100)
+    came = np.sort(came + np.abs(np.random.default_rng(0).normal(0.0, jitter, len(came))))
+    phase, shift, newest, out, without = no_phase(PERIOD), 0.0, -1, [], 0
+    for k in range(STEPS):
+        begins = shift + k * PERIOD
+        before, newest = newest, int(np.searchsorted(came, begins, "right")) - 1
+        wait = begins - came[newest] if newest > before else -1.0
+        if k >= STEPS - 4000:
+            without += wait < 0.0
+            out += [wait] if wait >= 0.0 else []
+        by = moved(phase, PERIOD, wait)
+        assert abs(by) <= PERIOD / 500.0
+        shift += by if moves else 0.0
+    return np.array(out), without, shift
+
+
+@pytest.mark.parametrize("interval", [PERIOD, 1.0003 * PERIOD, 0.9997 * PERIOD])
+@pytest.mark.parametrize("jitter", [2e-5, 1e-4])
+def test_commands_wait_no_longer_than_their_jitter_asks_for(interval: float, jitter: float) -> None:
+    """Of a clock that is equal, slower or faster by 300 ppm; deadlines that stay have them wait up to a period."""
+    wait, without, shift = waits(interval, jitter)
+    assert np.median(wait) < 5e-5 + 2.5 * jitter
+    assert np.percentile(wait, 99) < 1e-4 + 4.0 * jitter
+    assert without < 0.08 * 4000
+    drift = STEPS * (interval - PERIOD)
+    assert shift == pytest.approx(drift, abs=PERIOD)
+    if interval != PERIOD:
+        stays, _, _ = waits(interval, jitter, moves=False)
+        assert np.percentile(stays, 99) > 0.9 * PERIOD
+
+
+@pytest.mark.parametrize("interval", [2.0 * PERIOD, 5.3 * PERIOD, 15.0 * PERIOD])
+def test_slower_commands_move_nothing(interval: float) -> None:
+    """Where most steps have no command of their own the grid stays where it is."""
+    assert waits(interval, 1e-4)[2] == 0.0
+
+
+@pytest.mark.parametrize("interval", [0.97 * PERIOD, 1.04 * PERIOD])
+def test_another_rate_moves_them_to_and_fro(interval: float) -> None:
+    """Real time is kept to 0.1 % where commands come at another rate than steps can follow."""
+    assert abs(waits(interval, 5e-5)[2]) < 1e-3 * STEPS * PERIOD
+
+
+def test_a_whole_period_is_none() -> None:
+    """A wait and the same with a period more move deadlines alike: to the nearer way."""
+    for wait in (0.0, 2e-4, 5e-4, 9e-4):
+        one, other = (no_phase(PERIOD) for _ in range(2))
+        one.own[0] = other.own[0] = 1.0
+        assert moved(one, PERIOD, wait) == pytest.approx(moved(other, PERIOD, wait + PERIOD), abs=1e-15)
