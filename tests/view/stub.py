@@ -322,7 +322,7 @@ class Stub:
             "type": "status", "rate": 1000.0 if known else None, "real_time_factor": 1.0 if known else None,
             "late": 12 if known else None, "late_percent": 0.02 if known else None, "overruns": 0 if known else None,
             "step_ms": {"p50": 0.42, "p99": 0.61} if known else None, "limited": 143 if deep else 0,
-            "locked": 3 if deep else 0, "tets": 900, "contact_nodes": 20, "contact_area": 61.5 if deep else 0.0,
+            "locked": 3 if deep else 0, "tets": 900, "contact_nodes": 20, "contact_area": 61.5e-6 if deep else 0.0,
             "penetration": 1e-6, "words": words if deep else [],
             "command": {"age": 0.01, "rate": 60.0, "delay": 0.02, "mode": "linear"} if known else None,
             "accuracy": None, "level_errors": {"standard": "0.01 % rms", "lagged": "0.02 % rms"},

@@ -38,6 +38,12 @@ export function number(value: number | null | undefined, decimals: number): stri
   return value === null || value === undefined || !Number.isFinite(value) ? MISSING : value.toFixed(decimals);
 }
 
+/** The same with a unit, which a dash has not. */
+export function measure(value: number | null | undefined, decimals: number, unit: string): string {
+  const text = number(value, decimals);
+  return text === MISSING ? text : `${text} ${unit}`;
+}
+
 /** A number with three significant digits, as people write it. */
 export function short(value: number): string {
   if (!Number.isFinite(value)) return String(value);

@@ -41,7 +41,7 @@ const link = new Link({
   bytes: (buffer) => {
     const got = decode(buffer);
     if (got.kind === "frame") {
-      if (newest !== null) plots.add(newest.samples); // skipped as a picture, but not in the plots
+      if (newest !== null) plots.add(newest); // skipped as a picture, but not in the plots
       newest = got;
     } else {
       world?.use(got);
@@ -121,7 +121,7 @@ function picture(now: number): void {
 }
 
 function show(frame: Frame): void {
-  plots.add(frame.samples);
+  plots.add(frame);
   if (!condition.frame()) return;
   if (world === null || !world.show(frame)) return;
   hand?.show(frame);

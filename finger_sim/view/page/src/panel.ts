@@ -53,6 +53,7 @@ export class Panel {
       parts.push(this.group(name, title(name), inside));
     }
     this.groups.replaceChildren(...parts);
+    byId("parameters").hidden = items.length === 0;
     for (const [name, value] of this.values) this.show(name, value);
     this.sift();
   }

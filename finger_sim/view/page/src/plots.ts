@@ -3,7 +3,7 @@
 import uPlot from "uplot";
 import { byId } from "./dom";
 import { cssColour } from "./theme";
-import type { Sample } from "./wire";
+import { RESTART, type Frame, type Sample } from "./wire";
 
 const SPAN = 10; // s
 const INTERVAL = 66; // ms between two pictures of a plot
@@ -29,8 +29,9 @@ export class Plots {
   private drawn = 0;
   private fresh = true;
 
-  /** Adds what came with a frame. A step back in time, as of a recording, begins anew. */
-  add(samples: Sample[]): void {
+  /** Adds what came with a frame. A step back in time, or a frame that says so, begins anew. */
+  add({ samples, flags }: Frame): void {
+    if ((flags & RESTART) !== 0) this.samples = [];
     for (const sample of samples) {
       const last = this.samples.at(-1);
       if (last !== undefined && (sample.time < last.time - 0.5 || sample.time > last.time + SPAN)) this.samples = [];

@@ -1,7 +1,7 @@
 /** Numbers and words of the present state. What is not live is shown as a dash, never as a number. */
 
 import { Vector3 } from "three";
-import { byId, make, MISSING, number, tell, write } from "./dom";
+import { byId, make, measure, MISSING, number, tell, write } from "./dom";
 import { DEVICE_KNOWN, type Frame, type Status } from "./wire";
 
 const ids = ["rate", "factor", "late", "step", "limits", "contacts", "command", "area"] as const;
@@ -37,16 +37,17 @@ export class Readouts {
   status(status: Status): void {
     const { stats } = this;
     const { p50, p99 } = status.step_ms ?? { p50: null, p99: null };
-    write(stats.rate, `${number(status.rate, 0)} Hz`);
+    write(stats.rate, measure(status.rate, 0, "Hz"));
     write(stats.factor, number(status.real_time_factor, 3));
-    write(stats.late, `${number(status.late, 0)} (${number(status.late_percent, 2)} %)`);
-    write(stats.step, `${number(p50, 2)} / ${number(p99, 2)} ms`);
+    write(stats.late, status.late === null ? MISSING : `${status.late} (${number(status.late_percent, 2)} %)`);
+    write(stats.step, p50 === null ? MISSING : `${number(p50, 2)} / ${number(p99, 2)} ms`);
     const locked = (status.locked ?? 0) > 0 ? `, ${status.locked} locked` : "";
     write(stats.limits, status.limited === null ? MISSING : `${status.limited} of ${status.tets ?? MISSING}${locked}`);
-    write(stats.area, `${number(status.contact_area, 1)} mm²`);
+    write(stats.area, measure(status.contact_area === null ? null : 1e6 * status.contact_area, 1, "mm²"));
     const { age, rate, mode } = status.command ?? { age: null, rate: null, mode: null };
+    if (status.command === null) write(stats.command, MISSING);
     const fresh = age !== null && age < 1 ? `${number(rate, 0)} Hz` : age === null ? "none yet" : `${number(age, 0)} s ago`;
-    write(stats.command, mode === null ? fresh : `${fresh}, ${mode}`);
+    if (status.command !== null) write(stats.command, mode === null ? fresh : `${fresh}, ${mode}`);
     this.say(status);
     tell("rate", number(status.rate, 1));
     tell("limited", String(status.limited ?? ""));

@@ -15,7 +15,7 @@ const EYES: Record<Looking, [number, number, number]> = {
   front: [1, -0.04, 0.16],
   below: [0.25, -0.35, -1],
 };
-const DISTANCE = 0.118; // m
+const DISTANCE = 0.104; // m
 const ORBIT = 1.6; // rad/s of the keys
 const PAN = 0.05; // m/s
 const ZOOM = 1.6; // times in a second

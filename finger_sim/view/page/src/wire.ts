@@ -47,8 +47,8 @@ export interface Status {
   locked: number | null;
   tets: number | null;
   contact_nodes: number | null;
-  contact_area: number | null;
-  penetration: number | null;
+  contact_area: number | null; // m²
+  penetration: number | null; // m
   words: { code: string; text: string; level: Level }[];
   command: { age: number | null; rate: number | null; delay: number | null; mode: string | null } | null;
   accuracy: string | null;
@@ -100,6 +100,7 @@ export const COMMAND_KNOWN = 1;
 export const PLANE_KNOWN = 2;
 export const DEVICE_KNOWN = 4;
 export const VIRTUAL = 8;
+export const RESTART = 16; // the samples replace all that came before
 
 export interface Contact {
   node: number;
