@@ -1,6 +1,6 @@
 """A server for tests of the page: it speaks the protocol, and its finger is made up: pressed flat where it meets a plane.
 
-It shares no code with finger_sim.view. `python -m tests.view.stub` serves one to look at.
+It shares no code with finger_sim.view. `cd tests && python -m view.stub` serves one to look at.
 """
 
 from __future__ import annotations
@@ -128,7 +128,11 @@ class Finger:
         head = struct.pack("<4Id4I", 2, 1, seq, len(places), at, len(touching), 4, 0, flags)
         numbers = [*pose, *self.command, 0.0, 0.0, self.height, *self.tilt, *total, *torque, *total, *torque, *centre]
         head += struct.pack(f"<{len(numbers) + 2}f", *numbers, self.friction, depth)
-        parts = [head + bytes(256 - len(head)), places.astype("<f4").tobytes(), strain.tobytes() + bytes(-len(places) % 4)]
+        parts = [
+            head + bytes(256 - len(head)),
+            places.astype("<f4").tobytes(),
+            strain.tobytes() + bytes(-len(places) % 4),
+        ]
         for k, node in enumerate(touching):
             stuck = deep[node] > 0.55 * depth
             parts.append(struct.pack("<I3fI", node, *forces[k], int(slips or (across > 0.3 * force and not stuck))))
@@ -143,7 +147,14 @@ ITEMS: list[dict[str, Any]] = []
 def item(name: str, value: Any, low: float | None, high: float | None, unit: str, doc: str, **more: Any) -> None:
     kind = "vector" if isinstance(value, list) else "bool" if isinstance(value, bool) else "number"
     ITEMS.append(
-        {"name": name, "group": name.rpartition(".")[0] or "node", "value": value, "kind": kind, "low": low, "high": high}
+        {
+            "name": name,
+            "group": name.rpartition(".")[0] or "node",
+            "value": value,
+            "kind": kind,
+            "low": low,
+            "high": high,
+        }
         | {"unit": unit, "choices": [], "doc": doc, "live": True, "log": False}
         | more
     )
@@ -286,7 +297,9 @@ class Stub:
         elif kind == "record":
             self._recording = message["on"]
             if not self._recording:
-                await self._tell({"type": "recorded", "name": "press.mcap", "url": "/recordings/press.mcap", "bytes": 4})
+                await self._tell(
+                    {"type": "recorded", "name": "press.mcap", "url": "/recordings/press.mcap", "bytes": 4}
+                )
         elif kind == "yaml":
             await self._tell({"type": "yaml", "text": "mesh: {file: finger.vtu}\n", "name": "finger_haptic"})
         elif kind == "set":

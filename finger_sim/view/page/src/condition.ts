@@ -77,7 +77,8 @@ export class Condition {
     if (this.old) return "outdated";
     if (this.state === "waiting") return "waiting";
     if (this.state === "silent") return "silent";
-    if (this.hello === null || this.phase === null) return this.lost === "" ? "connecting" : "waiting";
+    if (this.state === "connecting") return this.lost === "" ? "connecting" : "waiting";
+    if (this.hello === null || this.phase === null) return "connecting";
     if (this.phase !== "running") return this.phase;
     if (this.hello.source === "bag") return "bag";
     return document.hidden || performance.now() - this.framed < STALLED ? "live" : "stalled";

@@ -42,7 +42,7 @@ export class Ground {
     this.origin.fromArray(frame.plane);
     this.orientation.fromArray(frame.plane, 3);
     this.normal.set(0, 0, 1).applyQuaternion(this.orientation);
-    const finger = new Vector3().fromArray(frame.pose).sub(this.origin);
+    const finger = new Vector3().fromArray(Number.isFinite(frame.pose[0]) ? frame.pose : frame.positions).sub(this.origin);
     const local = finger.applyQuaternion(this.orientation.clone().invert());
     local.z = 0;
     (this.mesh.material.uniforms.shift.value as Vector2).set(local.x, local.y);

@@ -95,8 +95,7 @@ export class Handle {
       this.wanted.position.copy(this.sent.position);
       return true;
     }
-    if (this.hold === "free" && this.frame !== null) {
-      this.begin(this.frame);
+    if (this.hold === "free" && this.frame !== null && this.begin(this.frame)) {
       this.say({ type: "take" });
       this.become("asked");
     }
@@ -180,15 +179,17 @@ export class Handle {
     return this.frame !== null && (this.frame.flags & VIRTUAL) !== 0;
   }
 
-  /** Begins where the finger is commanded to be, which keeps it from jumping. */
-  private begin(frame: Frame): void {
+  /** Begins where the finger is commanded to be, which keeps it from jumping; false: nobody knows where that is. */
+  private begin(frame: Frame): boolean {
     const pose = (frame.flags & COMMAND_KNOWN) !== 0 ? frame.command : frame.pose;
+    if (!pose.every(Number.isFinite)) return false;
     for (const part of [this.wanted, this.sent]) {
       part.position.fromArray(pose);
       part.orientation.fromArray(pose, 3);
     }
     this.velocity.set(0, 0, 0);
     this.speed = 0;
+    return true;
   }
 
   private become(hold: Hold): void {

@@ -80,6 +80,7 @@ export class Keys {
     if (inView && (FINGER.has(event.code) || VIEW.has(event.code))) {
       this.down.set(event.code, Infinity);
     } else if (inView && event.code === "Escape") {
+      this.down.clear(); // a key that still counts would take it again
       this.handle.let();
     } else if (inView && event.code === "Enter") {
       this.handle.take();

@@ -1,5 +1,6 @@
 /** The page: brings together what is heard, what is shown, and what is asked for. */
 
+import { Vector3 } from "three";
 import { startActions } from "./actions";
 import type { Quantity } from "./colours";
 import { byId, tell } from "./dom";
@@ -111,6 +112,7 @@ function picture(now: number): void {
   world.beforeDrawing();
   if (stage.draw()) {
     wrench.place(world, condition.live);
+    tellPlace(world, stage);
     tell("drawn", String(Number(document.documentElement.dataset.drawn ?? 0) + 1));
   }
   if (frame !== null) {
@@ -133,11 +135,17 @@ function show(frame: Frame): void {
   tell("slips", String(slipping));
 }
 
+/** Where on the screen the finger frame's origin is, in pixels of the window. */
+function tellPlace({ frame }: World, stage: Stage): void {
+  const at = frame === null ? null : stage.project(new Vector3().fromArray(frame.pose));
+  const { left, top } = stage.canvas.getBoundingClientRect();
+  tell("finger", at === null ? "" : `${Math.round(left + at.x)},${Math.round(top + at.y)}`);
+}
+
 /** What is shown is live from now on, or is not. */
 function fresh(live: boolean): void {
   world?.dim(live ? 0 : 0.85);
   if (live) return;
-  newest = null;
   readouts.blank();
   plots.clear();
   hand?.stale();

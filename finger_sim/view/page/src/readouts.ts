@@ -77,13 +77,11 @@ export class Readouts {
     byId("recordings-card").hidden = false;
   }
 
-  private say({ words, message, phase }: Status): void {
-    const all = [...words];
-    if (message !== "" && message !== "ok" && phase === "running") all.push({ code: "", text: message, level: "warn" });
-    const said = JSON.stringify(all);
+  private say({ words }: Status): void {
+    const said = JSON.stringify(words);
     if (said === this.said) return;
     this.said = said;
-    const lines = all.map(({ code, text, level }) =>
+    const lines = words.map(({ code, text, level }) =>
       make("li", { className: level }, make("span", { className: "sign", attributes: { "aria-hidden": "true" } }, SIGN[level]), ` ${text}`, ...(code === "" ? [] : [make("code", {}, code)])),
     );
     const well = make("li", { className: "well" }, make("span", { className: "sign", attributes: { "aria-hidden": "true" } }, "✓"), " all well");

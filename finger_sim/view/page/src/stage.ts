@@ -32,7 +32,7 @@ export class Stage {
 
   /** Throws where the browser has no WebGL. */
   constructor(private readonly holder: HTMLElement) {
-    this.renderer = new WebGLRenderer({ antialias: true, alpha: false, powerPreference: "high-performance" });
+    this.renderer = new WebGLRenderer({ antialias: window.devicePixelRatio >= 1, alpha: false, powerPreference: "high-performance" });
     this.renderer.outputColorSpace = LinearSRGBColorSpace;
     this.renderer.sortObjects = true;
     this.canvas = this.renderer.domElement;

@@ -32,6 +32,11 @@ export const FIRST_LAYERS: Layers = {
   ghost: false,
 };
 
+/** Whether a pose or a point is known at all. */
+function known(values: Float32Array): boolean {
+  return values.every(Number.isFinite);
+}
+
 /** What is drawn of one topology. */
 interface Body {
   topology: Topology;
@@ -129,7 +134,7 @@ export class World {
 
   look(from: Looking): void {
     const at = new Vector3(-0.008, 0, 0);
-    if (this.frame !== null) {
+    if (this.frame !== null && known(this.frame.pose)) {
       at.applyQuaternion(new Quaternion().fromArray(this.frame.pose, 3)).add(new Vector3().fromArray(this.frame.pose));
       if (this.ground.known) at.addScaledVector(this.ground.normal, 0.002 - 0.55 * this.ground.height(at));
     }
