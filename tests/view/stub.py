@@ -1,4 +1,4 @@
-"""A server for tests of the page: it speaks the protocol, and its finger is made up: pressed flat where it meets a plane.
+"""A server for tests of the page: it speaks the protocol, and makes up its finger, which is flat where it is pressed.
 
 It shares no code with finger_sim.view. `cd tests && python -m view.stub` serves one to look at.
 """

@@ -54,7 +54,8 @@ NAMES = """() => [...document.querySelectorAll("button, input, select, textarea,
   .map((element) => ({
     place: element.outerHTML.slice(0, 90),
     name: element.getAttribute("aria-label")
-      || (element.getAttribute("aria-labelledby") || "").split(" ").map((id) => document.getElementById(id)?.textContent || "").join("")
+      || (element.getAttribute("aria-labelledby") || "").split(" ")
+        .map((id) => document.getElementById(id)?.textContent || "").join("")
       || [...(element.labels || [])].map((label) => label.textContent).join("")
       || element.textContent.trim(),
   }))"""
