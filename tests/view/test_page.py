@@ -255,6 +255,10 @@ def test_the_page_comes_back_by_itself(stub: Any, open_tab: Any) -> None:
     assert {tab.text(f"#value-{name}") for name in ("normal", "tangential", "device", "depth")} == {"–"}
     assert {tab.text(f"#stat-{name}") for name in ("rate", "late", "limits", "contacts")} == {"–"}
     assert tab.text("#veil-title") == "The connection is lost"
+    assert tab.text("#legend-most") == "max –"
+    assert not tab.page.locator("#keys").is_visible()
+    assert tab.page.locator("#record").is_disabled()
+    assert "not known" in tab.text("#cost")
     assert gone["handle"] == "none"
     tab.keep("disconnected")
     stub.start()

@@ -9,6 +9,7 @@ const SIGN: Record<Level, string> = { info: "i", warn: "!", error: "×" };
 
 export interface Actions {
   welcome(hello: Hello): void;
+  live(on: boolean): void;
   status(status: Status): void;
   notice(level: Level, text: string): void;
   yaml(text: string, name: string): void;
@@ -23,6 +24,12 @@ export function startActions(say: (message: Said) => void): Actions {
   const notices = byId("notices");
   let recording = false;
   let drives = false;
+  let live = false;
+  const enable = (): void => {
+    scene.disabled = !live || !drives || scene.options.length < 2;
+    record.disabled = byId<HTMLButtonElement>("reset").disabled = !live || !drives;
+    byId<HTMLButtonElement>("yaml").disabled = !live || !drives;
+  };
 
   const notice = (level: Level, text: string): void => {
     const close = make("button", { type: "button" }, "Close");
@@ -34,7 +41,7 @@ export function startActions(say: (message: Said) => void): Actions {
     if (level !== "error") window.setTimeout(() => entry.remove(), SHOWN);
   };
   const reset = (): void => {
-    if (drives) say({ type: "reset" });
+    if (drives && live) say({ type: "reset" });
   };
   const help = (): void => byId<HTMLDialogElement>("help-dialog").showModal();
   const copy = async (): Promise<void> => {
@@ -79,9 +86,11 @@ export function startActions(say: (message: Said) => void): Actions {
       const names = hello.scenes.includes(hello.scene) ? hello.scenes : [hello.scene, ...hello.scenes];
       scene.replaceChildren(...names.map((name) => make("option", { value: name }, name)));
       scene.value = hello.scene;
-      scene.disabled = !drives || hello.scenes.length === 0;
-      record.disabled = !drives;
-      byId<HTMLButtonElement>("reset").disabled = !drives;
+      enable();
+    },
+    live: (on) => {
+      live = on;
+      enable();
     },
     status: ({ recording: now }) => {
       recording = now?.on ?? false;

@@ -1,7 +1,7 @@
 /** What colours, marks and arrows mean, with numbers. */
 
 import { RAMP, type Scale } from "./colours";
-import { byId, make, number, short, tell, write } from "./dom";
+import { byId, make, MISSING, number, short, tell, write } from "./dom";
 import type { Layers } from "./world";
 import type { Topology } from "./wire";
 
@@ -19,6 +19,7 @@ export class Legend {
     const over = scale.open && scale.most >= scale.top - 1e-6;
     write(byId("legend-most"), `max ${over ? "≥ 2.0" : number(scale.most, decimals)}${scale.unit === "" ? "" : ` ${scale.unit}`}`);
     tell("most", scale.most.toFixed(3));
+    byId("ramp-most").hidden = false;
     byId("ramp-most").style.bottom = `${100 * Math.min(scale.most / scale.top, 1)}%`;
     const ticks = JSON.stringify(scale.ticks);
     if (ticks === this.ticks) return;
@@ -32,8 +33,17 @@ export class Legend {
     byId("ramp-ticks").replaceChildren(...marks);
   }
 
+  /** Nothing is known of the present. */
+  blank(): void {
+    write(byId("legend-most"), `max ${MISSING}`);
+    byId("ramp-most").hidden = true;
+    byId("keys").hidden = true;
+    tell("most", "");
+  }
+
   /** The keys of what is shown. arrow: what the longest stands for [N]. */
   keys(layers: Layers, arrow: number, virtual: boolean, sticking: number, slipping: number): void {
+    byId("keys").hidden = false;
     byId("key-contacts").hidden = !layers.contacts;
     byId("key-forces").hidden = !layers.forces;
     byId("key-axes").hidden = !layers.axes;

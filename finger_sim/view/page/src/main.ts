@@ -42,7 +42,7 @@ const link = new Link({
   bytes: (buffer) => {
     const got = decode(buffer);
     if (got.kind === "frame") {
-      if (newest !== null) plots.add(newest); // skipped as a picture, but not in the plots
+      if (newest !== null && condition.live) plots.add(newest); // skipped as a picture, but not in the plots
       newest = got;
     } else {
       world?.use(got);
@@ -64,6 +64,7 @@ startTheme(() => {
   plots.repaint();
 });
 startChoices();
+fresh(false);
 requestAnimationFrame(picture);
 
 function hear(message: Told): void {
@@ -106,7 +107,7 @@ function picture(now: number): void {
   newest = null;
   if (frame !== null) show(frame);
   hand?.tick(dt);
-  if (condition.live) plots.tick(now);
+  plots.tick(now);
   if (world === null || stage === null) return;
   hand?.beforeDrawing();
   world.beforeDrawing();
@@ -123,8 +124,8 @@ function picture(now: number): void {
 }
 
 function show(frame: Frame): void {
-  plots.add(frame);
   if (!condition.frame()) return;
+  plots.add(frame);
   if (world === null || !world.show(frame)) return;
   hand?.show(frame);
   const { sticking, slipping, arrowForce } = world.touch;
@@ -144,9 +145,12 @@ function tellPlace({ frame }: World, stage: Stage): void {
 
 /** What is shown is live from now on, or is not. */
 function fresh(live: boolean): void {
-  world?.dim(live ? 0 : 0.85);
+  world?.live(live);
+  actions.live(live);
+  panel.live(live);
   if (live) return;
   readouts.blank();
+  legend.blank();
   plots.clear();
   hand?.stale();
   wrench.hide();
@@ -194,7 +198,7 @@ function refresh(): void {
 }
 
 function showLayers(): void {
-  if (world === null) return;
+  if (world === null || !condition.live) return;
   const { sticking, slipping, arrowForce } = world.touch;
   const virtual = world.frame !== null && (world.frame.flags & VIRTUAL) !== 0;
   legend.keys(world.layers, arrowForce, virtual, sticking, slipping);

@@ -80,6 +80,12 @@ export class Panel {
     write(this.cost, parts.join(" · "));
   }
 
+  /** Without a live server nothing can be set, and no cost is known. */
+  live(on: boolean): void {
+    byId("parameters").toggleAttribute("inert", !on);
+    if (!on && this.cost !== null) write(this.cost, "step time not known");
+  }
+
   private add(item: Item, name?: string): HTMLElement {
     const send = (value: Value): void => this.want(item.name, value);
     const made = control(item, send, name);

@@ -22,7 +22,7 @@ import { colour, isDark } from "./theme";
 import { BONE, NAIL, type Topology } from "./wire";
 
 const BEND = 0.7; // of the way from a flat triangle to one that its normals bend
-const CREASE = Math.cos((50 * Math.PI) / 180); // faces that meet at a sharper angle are shaded apart
+const CREASE = Math.cos((66 * Math.PI) / 180); // faces that meet at a sharper angle are shaded apart
 
 export class Skin {
   readonly mesh: Mesh<BufferGeometry, ShaderMaterial>;

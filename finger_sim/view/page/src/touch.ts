@@ -11,6 +11,7 @@ import {
   RingGeometry,
   Vector3,
   type BufferGeometry,
+  type Camera,
 } from "three";
 import { Arrows, Turn } from "./arrows";
 import { roundUp } from "./colours";
@@ -22,7 +23,13 @@ const LONGEST_ARROW = 0.011; // m, of a node's force
 const WRENCH_SCALE = 0.003; // m/N
 const LONGEST_WRENCH = 0.026; // m
 const TURN_SCALE = 0.25; // rad in 1 mN m
-const MARK = 4.5e-4; // m
+const MARK = 4.2e-4; // m
+
+/** A node in contact, and the friction on it. */
+interface Mark {
+  at: Vector3;
+  pull: Vector3;
+}
 
 export class Touch {
   readonly group = new Group();
@@ -36,12 +43,13 @@ export class Touch {
   private readonly arrows = new Arrows(2.4e-4, true);
   private readonly wrench = new Arrows(5e-4, true, 1);
   private readonly turn = new Turn();
+  private readonly places = { sticks: [] as Mark[], slips: [] as Mark[] };
   private sticks: InstancedMesh;
   private slips: InstancedMesh;
 
   constructor(private readonly ground: Ground) {
     this.sticks = marks(new CircleGeometry(MARK, 16));
-    this.slips = marks(new RingGeometry(0.75 * MARK, 1.75 * MARK, 3));
+    this.slips = marks(new RingGeometry(0.85 * MARK, 1.9 * MARK, 3));
     this.forces.add(this.arrows.group, this.wrench.group, this.turn.mesh);
     this.group.add(this.sticks, this.slips);
   }
@@ -49,22 +57,33 @@ export class Touch {
   update(frame: Frame): void {
     const tails: Vector3[] = [];
     const reaches: Vector3[] = [];
-    const places = { sticks: [] as Matrix4[], slips: [] as Matrix4[] };
+    const { sticks, slips } = this.places;
+    sticks.length = slips.length = 0;
     const largest = frame.contacts.reduce((most, { force }) => Math.max(most, Math.hypot(...force)), 0);
     if (largest > this.arrowForce || largest < 0.2 * this.arrowForce) this.arrowForce = Math.max(roundUp(largest), 0.1);
-    for (const { node, force, slips } of frame.contacts) {
+    for (const { node, force, slips: slipping } of frame.contacts) {
       if (3 * node + 2 >= frame.positions.length) continue;
       const tip = new Vector3().fromArray(frame.positions, 3 * node);
       const reach = new Vector3(...force).multiplyScalar(LONGEST_ARROW / this.arrowForce);
       tails.push(tip.clone().sub(reach));
       reaches.push(reach);
-      (slips ? places.slips : places.sticks).push(this.markAt(tip, slips ? reach : null));
+      (slipping ? slips : sticks).push({ at: tip, pull: reach.clone().projectOnPlane(this.ground.normal) });
     }
     this.arrows.set(tails, reaches);
-    this.sticks = show(this.sticks, places.sticks, this.group);
-    this.slips = show(this.slips, places.slips, this.group);
-    [this.sticking, this.slipping] = [places.sticks.length, places.slips.length];
+    [this.sticking, this.slipping] = [sticks.length, slips.length];
     this.showWrench(frame);
+  }
+
+  /** Turns the marks to the eye: of a node that slips, a triangle that points to where friction pulls it. */
+  face(camera: Camera): void {
+    const toView = camera.quaternion.clone().invert();
+    const placed = ({ at, pull }: Mark): Matrix4 => {
+      const seen = pull.clone().applyQuaternion(toView);
+      const turn = new Quaternion().setFromAxisAngle(new Vector3(0, 0, 1), Math.atan2(seen.y, seen.x));
+      return new Matrix4().compose(at, camera.quaternion.clone().multiply(turn), new Vector3(1, 1, 1));
+    };
+    this.sticks = show(this.sticks, this.places.sticks.map(placed), this.group);
+    this.slips = show(this.slips, this.places.slips.map(placed), this.group);
   }
 
   repaint(): void {
@@ -73,16 +92,6 @@ export class Touch {
     this.arrows.material.color = colour("force");
     this.wrench.material.color = colour("wrench");
     this.turn.mesh.material.color = colour("wrench");
-  }
-
-  /** A mark in the plane; of a node that slips, a triangle that points to where friction pulls it. */
-  private markAt(point: Vector3, friction: Vector3 | null): Matrix4 {
-    const turn = this.ground.orientation.clone();
-    if (friction !== null) {
-      const local = friction.clone().applyQuaternion(turn.clone().invert());
-      turn.multiply(new Quaternion().setFromAxisAngle(new Vector3(0, 0, 1), Math.atan2(local.y, local.x)));
-    }
-    return new Matrix4().compose(point, turn, new Vector3(1, 1, 1));
   }
 
   private showWrench(frame: Frame): void {

@@ -121,14 +121,16 @@ export class World {
   /** A shadow is on the side of the plane that the finger is on. */
   beforeDrawing(): void {
     if (this.body === null) return;
+    this.touch.face(this.stage.camera);
     const above = this.ground.height(this.stage.camera.position) > 0;
     this.body.skin.shadow.visible = this.ground.mesh.visible && above;
   }
 
-  /** Grey: what is shown is no longer so. */
-  dim(amount: number): void {
-    if (this.body === null) return;
-    this.body.skin.mesh.material.uniforms.dim.value = amount;
+  /** What is shown is live; or no longer so: then it is grey, without forces. */
+  live(on: boolean): void {
+    this.touch.group.visible = on && this.layers.contacts;
+    this.touch.forces.visible = on && this.layers.forces;
+    if (this.body !== null) this.body.skin.mesh.material.uniforms.dim.value = on ? 0 : 0.85;
     this.stage.request();
   }
 
