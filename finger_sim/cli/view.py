@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,11 +43,12 @@ def _port(text: str) -> int:
 def _view(options: argparse.Namespace) -> int:
     import asyncio
 
-    from ..errors import MissingExtraError
+    from ..console import say
+    from ..ros.demo import require_websockets
 
     _refuse_what_does_not_fit(options)
-    if importlib.util.find_spec("websockets") is None:
-        raise MissingExtraError("the page", "view")
+    require_websockets()
+    from ..view.browser import open_page
     from ..view.files import Recordings
     from ..view.guard import Guard
     from ..view.server import serve
@@ -57,15 +57,11 @@ def _view(options: argparse.Namespace) -> int:
     source = _source(options, guard, recordings)
 
     def ready(url: str) -> None:
-        from ..console import say
-
         print(url, flush=True)
         if guard.token is not None:
             say("whoever knows this address, and reaches it, holds the finger; it is sent unencrypted")
-        if not options.no_browser:
-            import webbrowser
-
-            webbrowser.open(url)
+        if not options.no_browser and not open_page(url):
+            say("open this address in a browser")
 
     asyncio.run(serve(source, guard, recordings, options.address, options.port, ready))
     return DONE
@@ -73,10 +69,21 @@ def _view(options: argparse.Namespace) -> int:
 
 def _source(options: argparse.Namespace, guard: Any, recordings: Any) -> Source:
     from ..console import say
-    from ..ros.demo import require_ros
 
     if options.bag is not None:
-        raise NotImplementedError
+        from ..console import gauge
+        from ..scene.resources import find_bag
+        from ..view.playback import Playback
+        from ..view.recording import Recording
+
+        path = find_bag(options.bag)
+        with gauge(f"reading {path}") as meter:
+            recording = Recording(path, meter)
+        for note in recording.notes:
+            say(f"finger_sim: warning: {path}: {note}")
+        return Playback(recording)
+    from ..ros.demo import require_ros
+
     require_ros()
     from ..view.live import LiveSource
     from ..view.session import NODE, OthersNode, OwnNode, Session

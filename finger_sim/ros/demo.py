@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from ..errors import FingerSimError, MissingExtraError, SceneError
 from ..scene import Scene
 from ..scene.fields import specs
 from ..scene.resources import find_bag, find_scene
+from ..view.beside import page_beside
 from .child import END_TIMEOUT, free_domain, last_line, last_of, node_process
 from .demo_verdict import DemoError as DemoError
 from .demo_verdict import Outcome, sum_up
@@ -53,6 +55,7 @@ def run_demo(
     duration: float | None = None,
     topic: str | None = None,
     options: Mapping[str, object] | None = None,
+    page: bool = False,
 ) -> Outcome:
     """Measures a bare loop, starts the node, plays the commands of `bag` at it over ROS 2, records, draws, sums up.
 
@@ -63,9 +66,12 @@ def run_demo(
     priority : of the loop under SCHED_FIFO, where that is permitted; 0: none
     duration : of the commands that are played [s]; all of them if left out
     options  : further parameters of the node
+    page     : whether a page in the browser shows it
     Raises DemoError when the node or the recording fails, and other FingerSimErrors for what was asked for.
     """
     require_ros()
+    if page:
+        require_websockets()
     if importlib.util.find_spec("matplotlib") is None:
         raise MissingExtraError("drawing", "plot")
     loaded = _at_rate(Scene.load(scene), rate)
@@ -89,7 +95,7 @@ def run_demo(
     }
     length = commands.duration if duration is None else min(duration, commands.duration)
     floor = bare_loop(loaded.dt, min(FLOOR_TIME, length), priority)
-    played, code = _drive(parameters, commands, frame, duration, log)
+    played, code = _drive(parameters, commands, frame, duration, log, page)
     outcome = sum_up(recording, log, folder / "demo.png", played, loaded, len(mesh.tets), floor, priority)
     if code != 0:
         outcome.failures.insert(0, f"the node ended with code {code}: {last_line(log)}")
@@ -120,7 +126,7 @@ def bare_loop(dt: float, seconds: float, priority: int) -> StepCounts:
 
 
 def _drive(
-    parameters: Mapping[str, Any], commands: Commands, frame: str, duration: float | None, log: Path
+    parameters: Mapping[str, Any], commands: Commands, frame: str, duration: float | None, log: Path, page: bool
 ) -> tuple[Played, int]:
     """Commands to a fresh node that records; what was played, and the node's exit code."""
     from .play import play, ros_node
@@ -128,7 +134,8 @@ def _drive(
     domain = free_domain()
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     say(f"starting the node (ROS_DOMAIN_ID {domain})")
-    with node_process(parameters, domain, log) as process, ros_node("finger_sim_demo", domain) as me:
+    shown = page_beside(domain, log.with_name("page.log")) if page else nullcontext()
+    with node_process(parameters, domain, log) as process, shown, ros_node("finger_sim_demo", domain) as me:
         reports = _Reports(me, process, log)
         reports.await_ready()
 
@@ -210,6 +217,12 @@ def require_ros() -> None:
     """Raises MissingExtraError where rclpy is neither installed nor sourced."""
     if importlib.util.find_spec("rclpy") is None:
         raise MissingExtraError("no rclpy found: without a sourced ROS 2, this", "ros")
+
+
+def require_websockets() -> None:
+    """Raises MissingExtraError where the page cannot be served."""
+    if importlib.util.find_spec("websockets") is None:
+        raise MissingExtraError("the page", "view")
 
 
 def _at_rate(scene: Scene, rate: float) -> Scene:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import time
-
 from ..haptics.budget import claimed
 from ..scene import Scene
 from ..scene.mesh import TetMesh
 from .words import Report
 
 LEVELS = ("standard", "lagged")
-SETTLE = 6.0
-"""Time after which the node's figures, of its last 4096 steps, are of the present level alone [s]."""
+SETTLE = 6
+"""Reports after which the node's figures, of its last 4096 steps, are of the present level alone."""
 
 
 class LevelCosts:
@@ -21,7 +19,7 @@ class LevelCosts:
         self._errors: dict[str, float | None] = {}
         self._times: dict[str, tuple[float, float]] = {}
         self._level: str | None = None
-        self._since = 0.0
+        self._alike = 0
 
     def measured_errors(self, scene: Scene, mesh: TetMesh) -> None:
         """Looks up the errors of a scene's levels."""
@@ -33,12 +31,13 @@ class LevelCosts:
     def use(self, level: str | None) -> None:
         """From now on steps are made on this level."""
         if level != self._level:
-            self._level, self._since = level, time.monotonic()
+            self._level, self._alike = level, 0
 
     def see(self, report: Report) -> None:
-        """Takes the step time of a report, once it is of the present level alone."""
+        """Takes the step time of a report, once it is of the present level alone, and of no body that sleeps."""
+        self._alike = self._alike + 1 if report.number("steps asleep") == 0.0 else 0
         median, p99 = report.number("step time p50 [ms]"), report.number("step time p99 [ms]")
-        if self._level and median and p99 and time.monotonic() > self._since + SETTLE:
+        if self._level and median and p99 and self._alike > SETTLE:
             self._times[self._level] = (median, p99)
 
     def texts(self) -> dict[str, str] | None:

@@ -8,12 +8,14 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..errors import FingerSimError
 from ..plain import plain
 from .connection import CROWDED, Connection, Peer
 from .orders import Order, OrderError, read_order
 from .protocol import VERSION, Frame, Picture, Topology, pack_topology
-from .samples import Samples
 
 MOST_CLIENTS = 32
 AHEAD = 2
@@ -27,17 +29,29 @@ SHORTEST_WAIT, LONGEST_WAIT = 2e-3, 16e-3
 """Between two looks for a picture that is due [s]."""
 
 
+class Past(Protocol):
+    """Samples of what was before."""
+
+    def since(self, seen: int, time: float) -> tuple[NDArray[np.void], int]:
+        """Those after number `seen`, up to `time` [s] and relative to it, and the number of the newest."""
+
+
 class Source(Protocol):
     """What there is to show, and who does what pages ask for.
 
-    kind    : node or bag
+    kind    : node, or bag: a recording
     drive   : whether pages may hold the finger and change what is simulated
     samples : forces of the last seconds
     """
 
-    kind: str
-    drive: bool
-    samples: Samples
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def drive(self) -> bool: ...
+
+    @property
+    def samples(self) -> Past: ...
 
     async def run(self, hub: Hub) -> None:
         """Until it is cancelled: tells the hub what there is."""
@@ -96,7 +110,7 @@ class Client(Peer):
         """Whether it wants a frame at this time, and has drawn what it got; tick: time between two looks [s]."""
         return len(self._sent) < AHEAD and now >= self.due - 0.5 * tick and self.connection.waiting < CROWDED
 
-    def draw(self, frame: Frame, samples: Samples, now: float) -> None:
+    def draw(self, frame: Frame, samples: Past, now: float) -> None:
         """Sends a frame."""
         rows, newest = samples.since(self.seen, frame.picture.time)
         self.connection.send_binary(frame.message(rows, restart=self.seen < 0))
@@ -133,6 +147,7 @@ class Hub:
         self._topology: bytes | None = None
         self._frame: Frame | None = None
         self._seq = 0
+        self._position: Mapping[str, Any] | None = None
         self._somebody = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._orders: dict[str, Callable[[Client, Order], None]] = {
@@ -291,14 +306,11 @@ class Hub:
             for client in list(self._clients.values()):
                 if client.drawn_last < frame.seq and client.ready(now, tick):
                     client.draw(frame, self.source.samples, now)
-            if picture is not None and self.source.kind == "bag":
-                self._tell_position()
-        return picture is not None
-
-    def _tell_position(self) -> None:
         position = self.source.position()
-        if position is not None:
+        if position is not None and position != self._position:
+            self._position = position
             self.tell("position", position, needed=False)
+        return picture is not None
 
     async def _tell(self) -> None:
         """The status, and whether pages are still there."""

@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -32,7 +33,7 @@ from ..bags.template import doubles
 from ..errors import FingerSimError
 from ..ros.messages import pose_template
 from ..ros.process import TRANSPORTS, logged
-from ..ros.rclpy_private import take
+from ..ros.rclpy_private import take_all
 from .values import Described
 from .words import NAME, Report
 
@@ -40,8 +41,6 @@ ANSWER_TIMEOUT = 5.0
 """How long a service may take [s]: closing a recording takes longest."""
 SPIN_PERIOD = 0.5
 """Time within which its thread notices that it is to end [s]."""
-DEPTH = 128
-"""Messages of each step that wait to be taken: at 1 kHz those of an eighth of a second."""
 
 
 class Heard(NamedTuple):
@@ -94,8 +93,7 @@ class Link:
         """Begins or ends to hear what is sent only, or more cheaply, where nobody hears it."""
         topics = {
             "mesh_points": (PointCloud2, 1),
-            "contact_wrench": (WrenchStamped, DEPTH),
-            "device_wrench": (WrenchStamped, DEPTH),
+            "device_wrench": (WrenchStamped, 1),
             "command_pose": (PoseStamped, 1),
         }
         for topic, (kind, depth) in topics.items():
@@ -106,11 +104,10 @@ class Link:
                 self._node.taken.discard(subscription)
                 self._node.destroy_subscription(subscription)
 
-    def taken(self, topic: str) -> Iterator[bytes]:
+    def taken(self, topic: str) -> list[bytes]:
         """The messages that lie in the subscription of a topic, oldest first."""
         subscription = self._subscriptions.get(topic)
-        while subscription is not None and (found := take(subscription)) is not None:
-            yield found.data
+        return [] if subscription is None else take_all(subscription)
 
     def use_frame(self, world: str) -> None:
         """Poses are sent in this frame."""
@@ -174,7 +171,11 @@ class Link:
 
     def _listen_to(self, topic: str, kind: Any, depth: int) -> None:
         quality = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-        subscription = self._node.create_subscription(kind, topic, lambda _: None, quality, raw=True)
+        # An executor that waits for events of a subscription wakes for each of its messages, too.
+        silent = SubscriptionEventCallbacks(use_default_callbacks=False)
+        subscription = self._node.create_subscription(
+            kind, topic, lambda _: None, quality, raw=True, event_callbacks=silent
+        )
         self._node.taken.add(subscription)
         self._subscriptions[topic] = subscription
 

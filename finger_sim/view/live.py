@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,22 +17,22 @@ from ..bags.poses import check_pose, read_pose
 from ..errors import FingerSimError
 from ..physics.rotations import matrix, normalised
 from ..scene import Plane, Pose
-from ..simulation.ground import Ground as Table
 from .costs import LevelCosts
 from .files import RECORDINGS, Recordings
+from .forces import split
 from .guard import Guard
 from .hub import Hub
 from .link import Heard, Link
 from .orders import Order, OrderError
-from .picture import Ground, Painter
+from .picture import Ground, Painter, plane_frame
 from .poses import Poses
 from .protocol import Picture, Topology
-from .raw import CloudReader, read_wrench, stamp_of
-from .samples import PERIOD, Samples
+from .raw import CloudReader, read_wrench
+from .samples import Samples
 from .session import Session
 from .shape import with_scene
 from .values import Values
-from .words import Report, status_of
+from .words import FED_SLOWLY, Report, status_of
 
 LOOK_PERIOD = 0.25
 """Time between two looks at whether the node is there [s]."""
@@ -59,10 +61,8 @@ class LiveSource:
         self._reader = CloudReader()
         self._command: Floats | None = None
         self._device: Floats | None = None
-        self._depth = 0.0
+        self._virtual = False
         self._world = "world"
-        self._clouded = 0
-        self._stamp = 0
         self._lock = asyncio.Lock()
         self._link: Link | None = None
         self._hub: Hub | None = None
@@ -98,9 +98,10 @@ class LiveSource:
         runs = self._phase == "running"
         report, before = (self._report, self._before) if runs else (Report(), Report())
         levels = self._costs.texts() if runs else None
-        return status_of(report, before) | {
-            "level_errors": levels, "phase": self._phase, "message": self._message,
-        }  # fmt: skip
+        told = status_of(report, before)
+        if self._hub is not None and self._hub.holder is not None:
+            told["words"] = [word for word in told["words"] if not word["text"].startswith(FED_SLOWLY)]
+        return told | {"level_errors": levels, "phase": self._phase, "message": self._message}
 
     def position(self) -> None:
         """See Source."""
@@ -250,13 +251,15 @@ class LiveSource:
         except FingerSimError:
             pass  # its mesh is not on this machine: what was heard is shown
         self._painter, self._reader = Painter(topology.rest), CloudReader()
-        self._command = self._device = None
-        self._moved = False
+        self._command, self._device, self._moved = None, None, False
         self.samples.clear()
         self._world = str(self._values.plain("world_frame") or "world")
         link.use_frame(self._world)
         self._settle()
         hub.begin(topology)
+        # What lives until the end is not looked through again and again: that takes 20 ms.
+        gc.collect()
+        gc.freeze()
         await self._look_up_costs()
 
     async def _look_up_costs(self) -> None:
@@ -274,78 +277,45 @@ class LiveSource:
             self._ground = Ground()
             return
         plane = Plane(tuple(values.plain("plane.point")), tuple(values.plain("plane.normal")))
-        frame = self._ground.plane if self._moved else Table(plane).frame
+        frame = self._ground.plane if self._moved else plane_frame(plane)
+        self._virtual = values.plain("coupling.type") == "virtual"
         self._ground = Ground(frame, float(values.plain("plane.friction")), float(values.plain("solver.tolerance")))
 
     def _look(self, link: Link, painter: Painter) -> Picture | None:
-        newest = None
-        for data in link.taken("mesh_points"):
-            newest = data
-        if newest is None:
+        clouds = link.taken("mesh_points")
+        if not clouds:
             return None
-        cloud = self._reader.read(newest)
+        cloud = self._reader.read(clouds[-1])
         if len(cloud.points) != len(painter):
             return None  # of a node that has just been replaced
         for data in link.taken("plane_pose"):
             pose = check_pose(read_pose(data), self._world)
             if isinstance(pose, Pose) and self._ground.plane is not None:
                 self._ground.plane, self._moved = pose, True
-        for data in link.taken("command_pose"):
+        for data in link.taken("command_pose")[-1:]:
             pose = check_pose(read_pose(data), self._world)
             if isinstance(pose, Pose):
                 self._command = np.array([*pose.position, *pose.orientation])
         picture = painter.paint(cloud, 1e-9 * cloud.stamp, self._ground)
-        self._sample(link, picture)
+        for data in link.taken("device_wrench"):
+            self._device = np.array(read_wrench(data)[1])
+        self._sample(picture)
         picture.command, picture.device = self._command, self._device
         picture.status = int(self._report.status)
-        picture.virtual = self._values.plain("coupling.type") == "virtual"
+        picture.virtual = self._virtual
         return picture
 
-    def _sample(self, link: Link, picture: Picture) -> None:
-        """Takes the forces since the last picture, one in each PERIOD."""
-        device = _thinned(list(link.taken("device_wrench")))
-        contact = _thinned(list(link.taken("contact_wrench")))
-        if device:
-            self._device = np.array(device[-1][2])
-        if not contact:
-            return
-        times = np.array([stamp for stamp, _, _ in contact])
-        forces = self._world_forces(contact, picture)
-        normal = (
-            np.array([0.0, 0.0, 1.0]) if picture.plane is None else matrix(normalised(picture.plane[3:].tolist()))[:, 2]
-        )
-        push = forces @ normal
-        values = np.zeros((len(times), 4))
-        values[:, 0] = push
-        values[:, 1] = np.linalg.norm(forces - np.outer(push, normal), axis=1)
-        if device:
-            strength = [float(np.linalg.norm(wrench[:3])) for _, _, wrench in device]
-            values[:, 2] = np.interp(times, [stamp for stamp, _, _ in device], strength)
-        values[:, 3] = np.interp(times, [self._stamp, 1e-9 * self._clouded], [self._depth, picture.depth])
-        new = times > self.samples.last
-        self.samples.add(times[new], values[new])
-
-    def _world_forces(self, contact: list[tuple[float, str, tuple[float, ...]]], picture: Picture) -> Floats:
-        forces = np.array([wrench[:3] for _, _, wrench in contact])
-        if self._values.plain("wrench_frame") == "finger" and picture.pose is not None:
-            return np.asarray(forces @ matrix(normalised(picture.pose[3:].tolist())).T)
-        return forces
+    def _sample(self, picture: Picture) -> None:
+        """The forces of a picture, for the plot."""
+        plane, wrench = self._ground.plane or Pose(), picture.wrench
+        if wrench is not None and picture.time > self.samples.last:
+            normal = matrix(normalised(plane.orientation))[:, 2].tolist()
+            device = 0.0 if self._device is None else math.hypot(*self._device[:3].tolist())
+            self.samples.add(picture.time, (*split(wrench[:3].tolist(), normal), device, picture.depth))
 
     def _send(self, pose: Pose) -> None:
         if self._link is not None and self._phase == "running":
             self._link.send(list(pose.position), list(pose.orientation))
-
-
-def _thinned(messages: list[bytes]) -> list[tuple[float, str, tuple[float, ...]]]:
-    """Stamp [s], frame and wrench of one message in each PERIOD, the newest among them."""
-    out: list[tuple[float, str, tuple[float, ...]]] = []
-    due = float("inf")
-    for data in reversed(messages):
-        stamp = 1e-9 * stamp_of(data)
-        if stamp <= due:
-            out.append((stamp, *read_wrench(data)))
-            due = stamp - PERIOD + 1e-6
-    return out[::-1]
 
 
 def _stem(scene: Any) -> str:

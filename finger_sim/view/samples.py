@@ -11,7 +11,6 @@ PERIOD = 0.005
 """Time between two samples [s]."""
 KEPT = 2000
 """Samples: ten seconds."""
-_MEASURED = ("normal", "tangential", "device", "depth")
 
 
 class Samples:
@@ -31,14 +30,12 @@ class Samples:
         """Forgets all."""
         self._count = 0
 
-    def add(self, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
-        """Takes samples (n, 4) at rising times (n,) [s]: normal, tangential and device force [N], depth [m]."""
-        times, values = times[-KEPT:], values[-KEPT:]
-        places = (self._count + np.arange(len(times))) % KEPT
-        self._times[places] = times
-        for name, column, unit in zip(_MEASURED, values.T, (1.0, 1.0, 1.0, 1e3), strict=True):
-            self._rows[name][places] = unit * column
-        self._count += len(times)
+    def add(self, time: float, values: tuple[float, float, float, float]) -> None:
+        """Takes a sample later than the last [s]: normal, tangential and device force [N], depth [m]."""
+        place = self._count % KEPT
+        self._times[place] = time
+        self._rows[place] = (0.0, *values[:3], 1e3 * values[3])
+        self._count += 1
 
     def since(self, seen: int, time: float) -> tuple[NDArray[np.void], int]:
         """Those after number `seen`, their times relative to `time` [s], and the number of the newest."""

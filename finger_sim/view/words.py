@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -23,6 +24,11 @@ TEXTS: Mapping[Status, tuple[str, str]] = {
     Status.RESTORED: ("warn", "the body was beyond repair and was put back, undeformed"),
 }
 """What each bit means, and how grave it is."""
+
+FED_SLOWLY = "a device is fed"
+"""How the node's warning begins that commands come slower than a device wants. A page that holds the finger is none."""
+_SEVERAL = re.compile(r"; (?!send )")
+"""Between two problems; within one of them the node writes `; send …`, too."""
 
 
 @dataclass
@@ -103,7 +109,7 @@ def words_of(report: Report) -> list[dict[str, str]]:
     found = [
         {"code": bit.name or "", "text": text, "level": level} for bit, (level, text) in TEXTS.items() if bit & status
     ]
-    problems = [] if report.message in ("", "ok") else report.message.split("; ")
+    problems = [] if report.message in ("", "ok") else _SEVERAL.split(report.message)
     level = LEVELS[min(max(report.level, 0), 2)]
     found += [{"code": "", "text": problem, "level": level} for problem in problems]
     return found
