@@ -70,7 +70,7 @@ export class Stage {
 
   /** Looks at a point from one of the known sides. */
   look(from: Looking, at: Vector3, plane: Quaternion): void {
-    const narrow = Math.max(1, 1.25 / this.camera.aspect);
+    const narrow = Math.max(1, 1.6 / this.camera.aspect);
     const eye = new Vector3(...EYES[from]).normalize().multiplyScalar(DISTANCE * narrow).applyQuaternion(plane);
     this.controls.target.copy(at);
     this.camera.position.copy(at).add(eye);
