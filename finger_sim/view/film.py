@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,8 +29,12 @@ ARGUMENTS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-san
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 QUALITIES = (80, 65, 50, 35, 20)
 """Of WebP, the best first; the first whose file is small enough is taken."""
+BITS = (8, 7, 6, 5)
+"""Of each colour of a PNG, in that order."""
 NEAR = 0.06
 """How far from a time that was sought the frame may be that is shown for it [s]."""
+PLOT, PANEL = 0.12, 0.8
+"""Time in which the plots, and in which the numbers of the panel follow a time that was sought [s]."""
 WITHIN = 30.0
 """Longest wait for the page [s]."""
 
@@ -83,7 +87,8 @@ def _make(options: argparse.Namespace) -> None:
         pictures = []
         with gauge(f"drawing {options.bag}") as meter:
             for k in range(count):
-                pictures.append(_picture(page, options.begin + k / options.rate, duration))
+                settled = PANEL if options.panel else PLOT
+                pictures.append(_picture(page, options.begin + k / options.rate, duration, settled))
                 meter(k + 1, count)
     _write(pictures, options, kind)
 
@@ -123,36 +128,35 @@ def _opened(url: str, options: argparse.Namespace) -> Iterator[Page]:
             if not options.panel:
                 page.locator("#fold").click()
             _until(page, lambda data: data["condition"] == "bag" and bool(data.get("finger")))
+            if page.locator("#play").get_attribute("data-playing") == "true":
+                page.locator("#play").click()
+            _until(page, lambda data: data["playing"] == "false")
             page.locator("[data-look=reset]").click()
-            page.locator("#viewport").evaluate("(element) => element.blur()")
+            page.mouse.move(1, height - 1)
             yield page
         finally:
             chromium.close()
 
 
-def _picture(page: Page, at: float, duration: float) -> Image:
-    """The page at a time of the recording [s]."""
+def _picture(page: Page, at: float, duration: float, settled: float) -> Image:
+    """The page at a time of the recording [s], `settled` seconds after it was sought."""
     from PIL import Image
 
     slider = page.locator("#time")
     steps = int(slider.get_attribute("max") or 1)
     slider.fill(str(round(steps * min(at / duration, 1.0))))
-    drawn = _until(page, lambda data: abs(float(data.get("time") or "nan") - at) <= NEAR)["drawn"]
-    # What the slider says, the plots and a late frame come with the next pictures.
-    _until(page, lambda data: data["drawn"] != drawn, least=0.12)
+    _until(page, lambda data: abs(float(data.get("time") or "nan") - at) <= NEAR)
+    page.wait_for_timeout(1e3 * settled)
     return Image.open(io.BytesIO(page.screenshot())).convert("RGB")
 
 
-def _until(page: Page, condition: Any, least: float | None = None) -> dict[str, str]:
-    """Waits until a condition holds on what the page tells; or, where `least` is given, for so long at most [s]."""
-    end = time.monotonic() + (WITHIN if least is None else least)
+def _until(page: Page, condition: Callable[[dict[str, str]], bool]) -> None:
+    """Waits until a condition holds on what the page tells."""
+    end = time.monotonic() + WITHIN
     while not condition(data := dict(page.evaluate("({...document.documentElement.dataset})"))):
         if time.monotonic() > end:
-            if least is not None:
-                break
             raise FingerSimError(f"the page did not show the recording within {WITHIN:g} s; it tells {data}")
         page.wait_for_timeout(10)
-    return data
 
 
 def _write(pictures: list[Image], options: argparse.Namespace, kind: str) -> None:
@@ -173,15 +177,17 @@ def _write(pictures: list[Image], options: argparse.Namespace, kind: str) -> Non
 
 
 def _png(picture: Image, most: float) -> bytes:
-    """In all its colours where that is small enough, else in 256."""
-    from PIL.Image import Dither
+    """With as many bits a colour as make it small enough, or the least."""
+    from PIL.ImageOps import posterize
 
-    out = io.BytesIO()
-    picture.save(out, "PNG", optimize=True)
-    if out.tell() > most:
+    data = b""
+    for bits in BITS:
         out = io.BytesIO()
-        picture.quantize(256, dither=Dither.NONE).save(out, "PNG", optimize=True)
-    return out.getvalue()
+        posterize(picture, bits).save(out, "PNG", optimize=True)
+        data = out.getvalue()
+        if len(data) <= most:
+            break
+    return data
 
 
 def _film(pictures: list[Image], rate: float, kind: str, most: float) -> bytes:
@@ -191,17 +197,11 @@ def _film(pictures: list[Image], rate: float, kind: str, most: float) -> bytes:
     data = b""
     for quality in QUALITIES:
         out = io.BytesIO()
-        common: dict[str, Any] = {
-            "save_all": True,
-            "append_images": pictures[1:],
-            "duration": round(1e3 / rate),
-            "loop": 0,
-        }
+        common: dict[str, Any] = {"save_all": True, "duration": round(1e3 / rate), "loop": 0}
         if kind == ".webp":
             pictures[0].save(out, "WEBP", append_images=pictures[1:], quality=quality, method=4, **common)
         else:
-            colours = 2 * quality
-            few = [picture.quantize(colours, dither=Dither.NONE) for picture in pictures]
+            few = [picture.quantize(2 * quality, dither=Dither.NONE) for picture in pictures]
             few[0].save(out, "GIF", append_images=few[1:], optimize=True, **common)
         data = out.getvalue()
         if len(data) <= most:

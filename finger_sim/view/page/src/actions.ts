@@ -86,6 +86,8 @@ export function startActions(say: (message: Said) => void): Actions {
       const names = hello.scenes.includes(hello.scene) ? hello.scenes : [hello.scene, ...hello.scenes];
       scene.replaceChildren(...names.map((name) => make("option", { value: name }, name)));
       scene.value = hello.scene;
+      const nameless = names.every((name) => name === "");
+      scene.hidden = byId("scene-label").hidden = nameless;
       enable();
     },
     live: (on) => {

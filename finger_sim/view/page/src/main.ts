@@ -47,6 +47,7 @@ const link = new Link({
     } else {
       world?.use(got);
       hand?.use(got);
+      readouts.use(got);
       legend.limits(got);
       showLayers();
       tell("nodes", String(got.rest.length / 3));

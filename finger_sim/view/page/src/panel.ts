@@ -184,7 +184,7 @@ export class Panel {
 }
 
 function title(group: string): string {
-  const words = group.replaceAll("_", " ");
+  const words = group.replaceAll(/[_.]/g, " ");
   return words.charAt(0).toUpperCase() + words.slice(1);
 }
 

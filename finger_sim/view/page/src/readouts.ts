@@ -2,7 +2,7 @@
 
 import { Vector3 } from "three";
 import { byId, make, measure, MISSING, number, tell, write } from "./dom";
-import { DEVICE_KNOWN, type Frame, type Status } from "./wire";
+import { DEVICE_KNOWN, type Frame, type Status, type Topology } from "./wire";
 
 const ids = ["rate", "factor", "late", "step", "limits", "contacts", "command", "area"] as const;
 const SIGN = { info: "i", warn: "!", error: "×" };
@@ -12,7 +12,12 @@ export class Readouts {
   private readonly words = byId("words");
   private readonly friction = byId<HTMLMeterElement>("friction-used");
   private said = "";
+  private tets: number | null = null; // of the mesh
   private recorded: HTMLElement[] = [];
+
+  use(topology: Topology): void {
+    this.tets = topology.tets.length > 0 ? topology.tets.length / 4 : null;
+  }
 
   /** Of each frame. normal: of the plane. */
   frame(frame: Frame, normal: Vector3, sticking: number, slipping: number): void {
@@ -42,12 +47,13 @@ export class Readouts {
     write(stats.late, status.late === null ? MISSING : `${status.late} (${number(status.late_percent, 2)} %)`);
     write(stats.step, p50 === null ? MISSING : `${number(p50, 2)} / ${number(p99, 2)} ms`);
     const locked = (status.locked ?? 0) > 0 ? `, ${status.locked} locked` : "";
-    write(stats.limits, status.limited === null ? MISSING : `${status.limited} of ${status.tets ?? MISSING}${locked}`);
+    write(stats.limits, status.limited === null ? MISSING : `${status.limited} of ${status.tets ?? this.tets ?? MISSING}${locked}`);
     write(stats.area, measure(status.contact_area === null ? null : 1e6 * status.contact_area, 1, "mm²"));
     const { age, rate, mode } = status.command ?? { age: null, rate: null, mode: null };
-    if (status.command === null) write(stats.command, MISSING);
+    const nobody = status.command === null || (age === null && status.rate === null);
+    if (nobody) write(stats.command, MISSING);
     const fresh = age !== null && age < 1 ? `${number(rate, 0)} Hz` : age === null ? "none yet" : `${number(age, 0)} s ago`;
-    if (status.command !== null) write(stats.command, mode === null ? fresh : `${fresh}, ${mode}`);
+    if (!nobody) write(stats.command, mode === null ? fresh : `${fresh}, ${mode}`);
     this.say(status);
     tell("rate", number(status.rate, 1));
     tell("limited", String(status.limited ?? ""));
@@ -77,14 +83,15 @@ export class Readouts {
     byId("recordings-card").hidden = false;
   }
 
-  private say({ words }: Status): void {
-    const said = JSON.stringify(words);
+  private say({ words, rate }: Status): void {
+    const said = JSON.stringify([words, rate === null]);
     if (said === this.said) return;
     this.said = said;
     const lines = words.map(({ code, text, level }) =>
       make("li", { className: level }, make("span", { className: "sign", attributes: { "aria-hidden": "true" } }, SIGN[level]), ` ${text}`, ...(code === "" ? [] : [make("code", {}, code)])),
     );
     const well = make("li", { className: "well" }, make("span", { className: "sign", attributes: { "aria-hidden": "true" } }, "✓"), " all well");
-    this.words.replaceChildren(...(lines.length > 0 ? lines : [well]));
+    const none = rate === null ? make("li", { className: "quiet" }, MISSING) : well; // nobody has said that all is well
+    this.words.replaceChildren(...(lines.length > 0 ? lines : [none]));
   }
 }

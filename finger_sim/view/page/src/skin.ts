@@ -125,7 +125,7 @@ export class Skin {
   repaint(): void {
     const dark = isDark();
     this.shadow.material.uniforms.ground.value = colour("stage");
-    this.shadow.material.uniforms.strength.value = dark ? 0.32 : 0.22;
+    this.shadow.material.uniforms.strength.value = dark ? 0.5 : 0.22;
     this.mesh.material.uniforms.ambient.value = colour("ambient");
   }
 
@@ -277,7 +277,7 @@ function shadowMaterial(): ShaderMaterial {
     side: DoubleSide,
     depthTest: false,
     depthWrite: false,
-    transparent: true,
+    transparent: false, // so that it is drawn before the skin, which then covers it
     blending: CustomBlending,
     blendEquation: MinEquation,
     blendSrc: OneFactor,

@@ -18,7 +18,7 @@ export class WrenchLabel {
     if (!shown || frame === null || at === null) return;
     const force = new Vector3().fromArray(frame.force).length();
     const torque = touch.spin(frame);
-    const turning = Math.abs(torque) < LEAST_TORQUE ? "" : ` · ${(1e3 * torque).toFixed(1)} mN m`;
+    const turning = Math.abs(torque) < LEAST_TORQUE ? "" : ` · ${(1e3 * torque).toFixed(1).replace("-", "−")} mN m`;
     write(this.label, `${force.toFixed(2)} N${turning}`);
     const x = Math.min(Math.max(at.x + 10, 4), stage.size.x - 130);
     const y = Math.min(Math.max(at.y - 26, 4), stage.size.y - 30);
