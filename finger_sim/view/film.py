@@ -53,7 +53,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser("finger_sim.view.film", description=__doc__)
     add = parser.add_argument
     add("bag", type=Path, help="recording with the mesh in it, as the node makes it")
-    add("-o", "--out", type=Path, required=True, metavar="FILE", help=".webp or .gif for a film, .png for one picture")
+    add("-o", "--out", type=Path, required=True, metavar="FILE", help=".webp for a film, .png for one picture")
     add("--begin", type=float, default=0.0, metavar="S", help="time in the recording (default: %(default)s)")
     add("--end", type=float, metavar="S", help="default: its end; one picture is of --begin")
     add("--rate", type=float, default=12.0, metavar="HZ", help="pictures a second (default: %(default)s)")
@@ -74,8 +74,8 @@ def _size(text: str) -> tuple[int, int]:
 
 def _make(options: argparse.Namespace) -> None:
     kind = options.out.suffix.lower()
-    if kind not in (".webp", ".gif", ".png"):
-        raise FingerSimError(f"-o: got {options.out.name!r}, allowed: a name that ends in .webp, .gif or .png")
+    if kind not in (".webp", ".png"):
+        raise FingerSimError(f"-o: got {options.out.name!r}, allowed: a name that ends in .webp or .png")
     if not 0.1 <= options.rate <= 60.0:
         raise FingerSimError(f"--rate: got {options.rate:g}, allowed: 0.1 to 60 Hz")
     with _served(options.bag) as url, _opened(url, options) as page:
@@ -167,7 +167,7 @@ def _write(pictures: list[Image], options: argparse.Namespace, kind: str) -> Non
     else:
         height = round(pictures[0].height * options.width / pictures[0].width)
         small = [picture.resize((options.width, height)) for picture in pictures]
-        data = _film(small, options.rate, kind, 1e6 * options.most)
+        data = _webp(small, options.rate, 1e6 * options.most)
     if len(data) > 1e6 * options.most:
         raise FingerSimError(
             f"{len(data) / 1e6:.2f} MB is more than --most {options.most:g}: make it shorter or smaller"
@@ -190,19 +190,15 @@ def _png(picture: Image, most: float) -> bytes:
     return data
 
 
-def _film(pictures: list[Image], rate: float, kind: str, most: float) -> bytes:
+def _webp(pictures: list[Image], rate: float, most: float) -> bytes:
     """In the best quality that is small enough, or the worst."""
-    from PIL.Image import Dither
-
     data = b""
     for quality in QUALITIES:
         out = io.BytesIO()
-        common: dict[str, Any] = {"save_all": True, "duration": round(1e3 / rate), "loop": 0}
-        if kind == ".webp":
-            pictures[0].save(out, "WEBP", append_images=pictures[1:], quality=quality, method=4, **common)
-        else:
-            few = [picture.quantize(2 * quality, dither=Dither.NONE) for picture in pictures]
-            few[0].save(out, "GIF", append_images=few[1:], optimize=True, **common)
+        pictures[0].save(
+            out, "WEBP", save_all=True, append_images=pictures[1:], duration=round(1e3 / rate), loop=0,
+            quality=quality, method=4,
+        )  # fmt: skip
         data = out.getvalue()
         if len(data) <= most:
             break
