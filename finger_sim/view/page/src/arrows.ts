@@ -35,8 +35,8 @@ export class Arrows {
     [this.shafts, this.heads] = this.make();
   }
 
-  /** Shows arrows from `tails` that reach so far, both in metres. */
-  set(tails: Vector3[], reaches: Vector3[]): void {
+  /** Shows arrows from `tails` that reach so far, both in metres; thinner: a part of their thickness. */
+  set(tails: Vector3[], reaches: Vector3[], thinner = 1): void {
     if (tails.length > this.capacity) {
       this.capacity = 2 * tails.length;
       this.group.remove(this.shafts, this.heads);
@@ -46,9 +46,9 @@ export class Arrows {
     tails.forEach((tail, k) => {
       const length = reaches[k].length();
       const direction = length > 1e-9 ? reaches[k].clone().divideScalar(length) : UP;
-      const head = Math.min(5.5 * this.thickness, 0.55 * length);
+      const head = Math.min(5.5 * this.thickness * thinner, 0.55 * length);
       this.turn.setFromUnitVectors(UP, direction);
-      const width = Math.min(1, length / (4 * this.thickness));
+      const width = Math.min(thinner, length / (4 * this.thickness));
       this.place.compose(tail, this.turn, new Vector3(width, Math.max(length - head, 1e-9), width));
       this.shafts.setMatrixAt(k, this.place);
       this.place.compose(tail.clone().addScaledVector(direction, length - head), this.turn, new Vector3(width, head, width));

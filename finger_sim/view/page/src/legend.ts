@@ -46,6 +46,7 @@ export class Legend {
     byId("keys").hidden = false;
     byId("key-contacts").hidden = !layers.contacts;
     byId("key-forces").hidden = !layers.forces;
+    byId("key-wrench").hidden = !layers.forces;
     byId("key-axes").hidden = !layers.axes;
     byId("key-bone").hidden = !layers.bone;
     byId("key-nail").hidden = !layers.nail;
@@ -53,7 +54,7 @@ export class Legend {
     byId("key-grid").hidden = !layers.plane;
     write(byId("key-sticks"), `${sticking} stick`);
     write(byId("key-slips"), `${slipping} slip`);
-    write(byId("key-arrow"), `force, ${short(arrow)} N`);
+    write(byId("key-arrow"), `force of a node, ${short(arrow)} N`);
   }
 
   /** How far each axis may be stretched and compressed. */

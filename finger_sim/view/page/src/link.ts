@@ -14,6 +14,7 @@ interface Ears {
   opened(): void;
   told(message: Told): void;
   bytes(buffer: ArrayBuffer): void;
+  failed(why: string): void;
   changed(state: LinkState, retryIn: number): void;
 }
 
@@ -65,8 +66,12 @@ export class Link {
       this.heard = performance.now();
       this.wait = FIRST_WAIT;
       if (this.state !== "open") this.become("open");
-      if (typeof data === "string") this.ears.told(JSON.parse(data) as Told);
-      else this.ears.bytes(data);
+      try {
+        if (typeof data === "string") this.ears.told(JSON.parse(data) as Told);
+        else this.ears.bytes(data);
+      } catch (error) {
+        this.ears.failed(String(error)); // one bad message does not end the page
+      }
     };
     socket.onclose = () => {
       if (socket === this.socket) this.lost();

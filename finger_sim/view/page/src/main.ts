@@ -53,6 +53,7 @@ const link = new Link({
       tell("nodes", String(got.rest.length / 3));
     }
   },
+  failed: (why) => actions.notice("error", `a message that cannot be used: ${why}`),
   changed: (state, retryIn) => {
     condition.link(state, retryIn);
     if (state === "waiting") hand?.lost();

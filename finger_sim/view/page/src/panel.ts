@@ -27,6 +27,7 @@ export class Panel {
   private values = new Map<string, Value>();
   private senders = new Map<string, (value: Value) => void>();
   private pending = new Map<string, number>();
+  private wanted = new Map<string, Value>(); // until the server says what holds
   private cost: HTMLElement | null = null;
   private readonly open = new Set(["often"]);
 
@@ -63,6 +64,7 @@ export class Panel {
     for (const [name, value] of Object.entries(values)) {
       window.clearTimeout(this.pending.get(name));
       this.pending.delete(name);
+      this.wanted.delete(name);
       this.values.set(name, value);
       this.show(name, value);
     }
@@ -105,7 +107,7 @@ export class Panel {
   private planeSliders(items: Item[]): HTMLElement[] {
     const [point, normal] = [POINT, NORMAL].map((name) => items.find((item) => item.name === name && item.live));
     if (point === undefined || normal === undefined) return [];
-    const now = (name: string): number[] => (this.values.get(name) as number[] | undefined) ?? [0, 0, 1];
+    const now = (name: string): number[] => (this.wanted.get(name) ?? this.values.get(name) ?? [0, 0, 1]) as number[];
     const height = ownSlider("Plane height", "mm", "Height of the plane's point above the world's origin. (plane.point)", [-15, 15], 0.1, (mm) => {
       const [x, y] = now(POINT);
       this.want(POINT, [x, y, mm / 1e3]);
@@ -131,7 +133,7 @@ export class Panel {
 
   /** Sends a value, not too often; what is not taken is put back. */
   private want(name: string, value: Value): void {
-    if (name === POINT || name === NORMAL) this.values.set(name, value); // the next slider goes on from here
+    this.wanted.set(name, value);
     let send = this.senders.get(name);
     if (send === undefined) {
       send = sparsely(SENT, (wanted: Value) => this.send(name, wanted));
@@ -141,7 +143,10 @@ export class Panel {
     window.clearTimeout(this.pending.get(name));
     this.pending.set(
       name,
-      window.setTimeout(() => this.show(name, this.values.get(name) ?? null), ANSWERED),
+      window.setTimeout(() => {
+        this.wanted.delete(name);
+        this.show(name, this.values.get(name) ?? null);
+      }, ANSWERED),
     );
   }
 

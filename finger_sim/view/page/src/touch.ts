@@ -24,6 +24,7 @@ const WRENCH_SCALE = 0.003; // m/N
 const LONGEST_WRENCH = 0.026; // m
 const TURN_SCALE = 0.25; // rad in 1 mN m
 const MARK = 4.2e-4; // m
+const MANY = 70; // nodes; from so many on marks are smaller
 
 /** A node in contact, and the friction on it. */
 interface Mark {
@@ -43,6 +44,7 @@ export class Touch {
   private readonly arrows = new Arrows(2.4e-4, true);
   private readonly wrench = new Arrows(5e-4, true, 1);
   private readonly turn = new Turn();
+  private small = 1; // of the size of marks and arrows
   private readonly places = { sticks: [] as Mark[], slips: [] as Mark[] };
   private sticks: InstancedMesh;
   private slips: InstancedMesh;
@@ -69,7 +71,8 @@ export class Touch {
       reaches.push(reach);
       (slipping ? slips : sticks).push({ at: tip, pull: reach.clone().projectOnPlane(this.ground.normal) });
     }
-    this.arrows.set(tails, reaches);
+    this.small = Math.min(1, Math.sqrt(MANY / Math.max(tails.length, 1)));
+    this.arrows.set(tails, reaches, this.small);
     [this.sticking, this.slipping] = [sticks.length, slips.length];
     this.showWrench(frame);
   }
@@ -80,7 +83,7 @@ export class Touch {
     const placed = ({ at, pull }: Mark): Matrix4 => {
       const seen = pull.clone().applyQuaternion(toView);
       const turn = new Quaternion().setFromAxisAngle(new Vector3(0, 0, 1), Math.atan2(seen.y, seen.x));
-      return new Matrix4().compose(at, camera.quaternion.clone().multiply(turn), new Vector3(1, 1, 1));
+      return new Matrix4().compose(at, camera.quaternion.clone().multiply(turn), new Vector3().setScalar(this.small));
     };
     this.sticks = show(this.sticks, this.places.sticks.map(placed), this.group);
     this.slips = show(this.slips, this.places.slips.map(placed), this.group);
