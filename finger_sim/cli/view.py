@@ -93,9 +93,20 @@ def _source(options: argparse.Namespace, guard: Any, recordings: Any) -> Source:
         session = OthersNode(options.node or NODE)
         say(f"joining {session.name}")
     else:
-        session = OwnNode(options.scene or "finger_haptic", options.out or Path())
+        session = OwnNode(options.scene or "finger_haptic", _folder(options.out or Path()))
         say(f"starting the node (ROS_DOMAIN_ID {session.domain})")
     return LiveSource(session, guard, recordings, options.watch)
+
+
+def _folder(out: Path) -> Path:
+    """Makes the folder where there is none. Raises FingerSimError where it cannot be had."""
+    from ..errors import FingerSimError
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FingerSimError(f"--out: {out}: cannot be made: {error.strerror}") from None
+    return out
 
 
 def _refuse_what_does_not_fit(options: argparse.Namespace) -> None:
@@ -103,7 +114,7 @@ def _refuse_what_does_not_fit(options: argparse.Namespace) -> None:
     from ..errors import FingerSimError
 
     given = {"--scene": options.scene, "--join": options.join, "--node": options.node, "--out": options.out}
-    pairs = [("BAG", options.bag, ("--scene", "--join", "--node", "--out")), ("--join", options.join, ("--scene",))]
+    pairs = [("BAG", options.bag, ("--scene", "--join", "--node", "--out")), ("--join", options.join, ("--scene", "--out"))]
     for name, value, others in pairs:
         for other in others:
             if value and given[other]:
