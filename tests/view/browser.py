@@ -23,6 +23,8 @@ TINY = {"viewport": {"width": 860, "height": 480}, "device_scale_factor": 0.25}
 """For two pages at once."""
 FOLDER = "FINGER_SIM_SCREENSHOTS"
 """Names the folder in which pictures of all states are left. Without it, coarse pixels are drawn, which is fast."""
+POLL = 30.0
+"""Time between two looks at a condition [ms]; a look takes time from what is looked at."""
 WITHIN = 25.0
 """Longest wait for any condition [s]: this is drawn in software, maybe on half a core."""
 
@@ -69,7 +71,7 @@ class Tab:
         end = time.monotonic() + within
         while not condition(data := self.data):
             assert time.monotonic() < end, f"not within {within:g} s; the page tells {data}"
-            self.page.wait_for_timeout(10)
+            self.page.wait_for_timeout(POLL)
         return data
 
     def live(self) -> Tab:
@@ -115,4 +117,4 @@ def until(condition: Callable[[], bool], tab: Tab, within: float = WITHIN) -> No
     end = time.monotonic() + within
     while not condition():
         assert time.monotonic() < end, f"not within {within:g} s; the page tells {tab.data}"
-        tab.page.wait_for_timeout(10)
+        tab.page.wait_for_timeout(POLL)

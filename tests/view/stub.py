@@ -93,8 +93,8 @@ class Finger:
         ]
         return b"".join(parts)
 
-    def frame(self, seq: int, at: float, since: float) -> tuple[bytes, dict[str, float]]:
-        """A frame, and what it tells."""
+    def frame(self, seq: int, at: float, since: float) -> bytes:
+        """A frame of a time [s], with samples of the time since the one before."""
         normal = rotated(np.array(self.tilt), np.array([0.0, 0.0, 1.0]))
         depths = self.depths()
         deep = np.maximum(depths, 0.0)
@@ -138,7 +138,7 @@ class Finger:
             parts.append(struct.pack("<I3fI", node, *forces[k], int(slips or (across > 0.3 * force and not stuck))))
         for k in range(4):
             parts.append(struct.pack("<5f", -since * (3 - k) / 4, force, across, device, 1e3 * depth))
-        return b"".join(parts), {"force": force, "depth": depth, "tets": float((strain > 128).sum())}
+        return b"".join(parts)
 
 
 ITEMS: list[dict[str, Any]] = []
@@ -355,7 +355,7 @@ class Stub:
                 await self._tell(self._status())
 
     async def _frames(self) -> None:
-        began, last = time.monotonic(), 0.0
+        began, last, sent = time.monotonic(), 0.0, 0.0
         for seq in range(1, 2**31):
             await asyncio.sleep(1 / 30)
             now = time.monotonic() - began
@@ -368,17 +368,16 @@ class Stub:
                 before = np.array(self.finger.command)
                 self.finger.command = self.script(now)
                 self.finger.move(now - last, before)
-            at = self.time if self.source == "bag" else now
-            data, _ = self.finger.frame(seq, at, now - last)
             last = now
-            if self.phase != "running" or self.mute:
+            ready = [me for me in self._clients if self._acked[me] >= self._sent[me]]
+            if self.phase != "running" or self.mute or not ready:
                 continue
-            for me, connection in list(self._clients.items()):
-                if self._acked[me] < self._sent[me]:
-                    continue
+            data = self.finger.frame(seq, self.time if self.source == "bag" else now, now - sent)
+            sent = now
+            for me in ready:
                 self._sent[me] = seq
-                with contextlib.suppress(ConnectionClosed):
-                    await connection.send(data)
+                with contextlib.suppress(ConnectionClosed, KeyError):
+                    await self._clients[me].send(data)
 
     def _act(self, at: float) -> None:
         """Of a recording: a press that slides."""
