@@ -139,7 +139,7 @@ export class Handle {
     return { position: this.wanted.position.clone(), orientation: this.wanted.orientation.clone() };
   }
 
-  /** Sends the next pose; once for each picture. dt: since the last one [s]. */
+  /** Sends the next pose. dt: since the last one [s]. */
   tick(dt: number): void {
     this.since += dt;
     if (this.hold === "asked" && this.since > ASKING) this.become("free");

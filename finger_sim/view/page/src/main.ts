@@ -18,7 +18,8 @@ import { decode, VERSION, VIRTUAL, type Frame, type Said, type Told } from "./wi
 import { World, type Layers } from "./world";
 import { WrenchLabel } from "./wrench";
 
-const LONGEST_PICTURE = 0.25; // s that a picture counts for, however late it is
+const HAND_PERIOD = 16; // ms between two poses: as often as a screen draws, also where drawing is slow
+const LONGEST = 0.25; // s that one such period counts for, however late it is
 
 const say = (message: Said): void => link.say(message);
 const stage = makeStage();
@@ -34,7 +35,7 @@ const wrench = new WrenchLabel();
 const condition = new Condition(() => link.retry(), fresh);
 const rate = byId<HTMLSelectElement>("frames");
 let newest: Frame | null = null;
-let before = performance.now();
+let moved = performance.now();
 
 const link = new Link({
   opened: () => (newest = null),
@@ -68,6 +69,7 @@ startTheme(() => {
 startChoices();
 fresh(false);
 requestAnimationFrame(picture);
+window.setInterval(move, HAND_PERIOD);
 
 function hear(message: Told): void {
   if (message.type === "hello") {
@@ -100,15 +102,19 @@ function hear(message: Told): void {
   } else if (message.type === "position") player.told(message.time, message.playing, message.speed);
 }
 
-/** Once for each picture of the screen: takes the newest frame, moves what moves, and draws. */
+/** Moves what keys, gamepad and spring move, and sends the pose of a finger that is held. */
+function move(): void {
+  const now = performance.now();
+  hand?.tick(Math.min((now - moved) / 1e3, LONGEST));
+  moved = now;
+}
+
+/** Once for each picture of the screen: takes the newest frame, and draws. */
 function picture(now: number): void {
   requestAnimationFrame(picture);
-  const dt = Math.min((now - before) / 1e3, LONGEST_PICTURE);
-  before = now;
   const frame = newest;
   newest = null;
   if (frame !== null) show(frame);
-  hand?.tick(dt);
   plots.tick(now);
   if (world === null || stage === null) return;
   hand?.beforeDrawing();

@@ -37,7 +37,7 @@ export class Pad {
     window.addEventListener("gamepaddisconnected", look);
   }
 
-  /** Reads the sticks, and rumbles; once for each picture. */
+  /** Reads the sticks, and rumbles. dt: since the last time [s]. */
   tick(dt: number): void {
     const pad = this.pad();
     if (pad === null) return;

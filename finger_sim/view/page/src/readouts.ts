@@ -52,7 +52,8 @@ export class Readouts {
     const { age, rate, mode } = status.command ?? { age: null, rate: null, mode: null };
     const nobody = status.command === null || (age === null && status.rate === null);
     if (nobody) write(stats.command, MISSING);
-    const fresh = age !== null && age < 1 ? `${number(rate, 0)} Hz` : age === null ? "none yet" : `${number(age, 0)} s ago`;
+    const old = age === null ? "none yet" : `${number(age, age < 10 ? 1 : 0)} s ago`;
+    const fresh = age !== null && age < 1 && rate !== null ? `${number(rate, 0)} Hz` : old;
     if (!nobody) write(stats.command, mode === null ? fresh : `${fresh}, ${mode}`);
     this.say(status);
     tell("rate", number(status.rate, 1));

@@ -32,6 +32,9 @@ export const FIRST_LAYERS: Layers = {
   ghost: false,
 };
 
+/** Between two bytes of strain: whole faces that are held right at their limit are not a line. */
+const JUST_BEYOND = 128.5 / 255;
+
 /** Whether a pose or a point is known at all. */
 function known(values: Float32Array): boolean {
   return values.every(Number.isFinite);
@@ -104,7 +107,7 @@ export class World {
     body.skin.appear(through, layers.wireframe);
     body.skin.update(frame.positions, body.painter.values);
     const { uniforms } = body.skin.mesh.material;
-    uniforms.contour.value = this.quantity === "strain" ? 128 / 255 : 0;
+    uniforms.contour.value = this.quantity === "strain" ? JUST_BEYOND : 0;
     uniforms.showBone.value = Number(layers.bone);
     uniforms.showNail.value = Number(layers.nail);
     body.wireframe.lines.visible = layers.wireframe;
