@@ -8,9 +8,6 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..errors import FingerSimError
 from ..plain import plain
 from .connection import CROWDED, Connection, Peer
@@ -32,8 +29,8 @@ SHORTEST_WAIT, LONGEST_WAIT = 2e-3, 16e-3
 class Past(Protocol):
     """Samples of what was before."""
 
-    def since(self, seen: int, time: float) -> tuple[NDArray[np.void], int]:
-        """Those after number `seen`, up to `time` [s] and relative to it, and the number of the newest."""
+    def since(self, seen: int, time: float) -> tuple[bytes, int]:
+        """Those after number `seen`, as messages hold them, relative to `time` [s]; and the number of the newest."""
 
 
 class Source(Protocol):

@@ -117,10 +117,9 @@ class Link:
         """Sends a command."""
         self._publisher.publish(self._template.fill(time.time_ns(), doubles([*position, *orientation])))
 
-    @property
-    def there(self) -> bool:
-        """Whether a node sends a mesh under that name."""
-        return bool(self._node.count_publishers("mesh_topology") > 0)
+    def senders(self, topic: str) -> int:
+        """How many send on a topic; of command_pose this is one."""
+        return int(self._node.count_publishers(topic))
 
     async def parameters(self) -> dict[str, Described]:
         """All parameters of the node. Raises FingerSimError when it does not answer."""

@@ -12,10 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Floats
 from ..bags.poses import check_pose, read_pose
 from ..errors import FingerSimError
-from ..physics.rotations import matrix, normalised
 from ..scene import Plane, Pose
 from .costs import LevelCosts
 from .files import RECORDINGS, Recordings
@@ -59,8 +57,9 @@ class LiveSource:
         self._painter: Painter | None = None
         self._ground, self._moved = Ground(), False
         self._reader = CloudReader()
-        self._command: Floats | None = None
-        self._device: Floats | None = None
+        self._command: tuple[float, ...] | None = None
+        self._device: tuple[float, ...] | None = None
+        self._plane_moves = self._others_command = True
         self._virtual = False
         self._world = "world"
         self._lock = asyncio.Lock()
@@ -183,6 +182,9 @@ class LiveSource:
         """Notices that the node has ended, or is not heard; starts our own again if it had been ready."""
         if self._lock.locked():
             return
+        if self._link is not None:  # nothing is looked for where nobody sends
+            self._plane_moves = self._link.senders("plane_pose") > 0
+            self._others_command = self._link.senders("command_pose") > 1
         ended = self._session.ended
         if ended is not None:
             was_ready = self._report.runs
@@ -288,34 +290,40 @@ class LiveSource:
         cloud = self._reader.read(clouds[-1])
         if len(cloud.points) != len(painter):
             return None  # of a node that has just been replaced
-        for data in link.taken("plane_pose"):
-            pose = check_pose(read_pose(data), self._world)
-            if isinstance(pose, Pose) and self._ground.plane is not None:
-                self._ground.plane, self._moved = pose, True
-        for data in link.taken("command_pose")[-1:]:
-            pose = check_pose(read_pose(data), self._world)
-            if isinstance(pose, Pose):
-                self._command = np.array([*pose.position, *pose.orientation])
-        picture = painter.paint(cloud, 1e-9 * cloud.stamp, self._ground)
+        if self._plane_moves:
+            for data in link.taken("plane_pose"):
+                self._move_plane(check_pose(read_pose(data), self._world))
+        if self._others_command:
+            for data in link.taken("command_pose"):
+                pose = check_pose(read_pose(data), self._world)
+                if isinstance(pose, Pose):
+                    self._command = (*pose.position, *pose.orientation)
         for data in link.taken("device_wrench"):
-            self._device = np.array(read_wrench(data)[1])
-        self._sample(picture)
+            self._device = read_wrench(data)[1]
+        picture = painter.paint(cloud, 1e-9 * cloud.stamp, self._ground)
         picture.command, picture.device = self._command, self._device
+        self._sample(picture)
         picture.status = int(self._report.status)
         picture.virtual = self._virtual
         return picture
 
+    def _move_plane(self, pose: Pose | str) -> None:
+        """It is where plane_pose says until a parameter says otherwise."""
+        ground = self._ground
+        if isinstance(pose, Pose) and ground.plane is not None:
+            self._ground, self._moved = Ground(pose, ground.friction, ground.tolerance), True
+
     def _sample(self, picture: Picture) -> None:
         """The forces of a picture, for the plot."""
-        plane, wrench = self._ground.plane or Pose(), picture.wrench
-        if wrench is not None and picture.time > self.samples.last:
-            normal = matrix(normalised(plane.orientation))[:, 2].tolist()
-            device = 0.0 if self._device is None else math.hypot(*self._device[:3].tolist())
-            self.samples.add(picture.time, (*split(wrench[:3].tolist(), normal), device, picture.depth))
+        if picture.wrench is not None and picture.time > self.samples.last:
+            normal, tangential = split(picture.wrench[:3], self._ground.normal)
+            device = 0.0 if self._device is None else math.hypot(*self._device[:3])
+            self.samples.add(picture.time, normal, tangential, device, picture.depth)
 
     def _send(self, pose: Pose) -> None:
         if self._link is not None and self._phase == "running":
             self._link.send(list(pose.position), list(pose.orientation))
+            self._command = (*pose.position, *pose.orientation)
 
 
 def _stem(scene: Any) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,19 +15,27 @@ from ..scene import Plane, Pose
 from .protocol import CONTACT, Picture
 from .raw import Cloud
 
+Row = tuple[float, ...]
+Rows = tuple[Row, ...]
+"""A matrix of few numbers, in plain ones: arrays take several times as long for as few."""
+
 _CREEP = 1e-5
 """Speed along the plane up to which a node rests [m/s], as in simulation/touch.py."""
 _ROUNDING = 1e-5
 """Part of its largest friction that the float32 force of a node may lack when it is at the cone."""
 
 
-@dataclass
 class Ground:
-    """What is touched, and how well its forces are solved for."""
+    """What is touched, and how well its forces are solved for.
 
-    plane: Pose | None = None
-    friction: float = np.nan
-    tolerance: float = 0.0
+    normal : of the plane, outward; up where none is known
+    turn   : (3, 3) axes of its pose in columns
+    """
+
+    def __init__(self, plane: Pose | None = None, friction: float = math.nan, tolerance: float = 0.0) -> None:
+        self.plane, self.friction, self.tolerance = plane, friction, tolerance
+        self.turn = matrix(normalised((plane or Pose()).orientation))
+        self.normal: list[float] = self.turn[:, 2].tolist()
 
 
 class Painter:
@@ -39,8 +47,9 @@ class Painter:
     def __init__(self, rest: Floats) -> None:
         self._rest = np.asarray(rest, np.float64)
         self._three = _far_apart(self._rest)
-        self._frame = _frame(self._rest[self._three])
-        self._before: tuple[float, NDArray[np.float32], Pose] | None = None
+        self._first = tuple(self._rest[self._three[0]].tolist())
+        self._frame = _frame(self._rest[self._three].tolist())
+        self._before: tuple[float, NDArray[np.float32], Ground] | None = None
 
     def __len__(self) -> int:
         return len(self._rest)
@@ -53,52 +62,60 @@ class Painter:
         """The picture of a cloud of this mesh at a time [s]; command and device are left to the caller."""
         points = cloud.points
         positions, forces = points[:, 0:3], points[:, 6:9]
-        pose = self.pose_of(points)
-        picture = Picture(time, positions, points[:, 9], pose, friction=ground.friction)
-        touching = np.flatnonzero(forces.any(axis=1))
-        at, push = positions[touching].astype(np.float64), forces[touching].astype(np.float64)
-        picture.wrench = np.zeros(6)
-        if touching.size:
-            picture.wrench[:3] = push.sum(axis=0)
-            picture.wrench[3:] = _cross(at - pose[:3], push).sum(axis=0)
-        slips = np.zeros(len(touching), bool)
+        place, turn = self._place(points)
+        picture = Picture(time, positions, points[:, 9], (*place, *_quaternion(turn)), friction=ground.friction)
         plane = ground.plane
         if plane is not None:
-            turn = matrix(normalised(plane.orientation))
-            normal = turn[:, 2]
-            picture.plane = np.array([*plane.position, *plane.orientation])
-            own = normal @ matrix(normalised(pose[3:].tolist()))
-            height = (self._rest @ own).min() + (pose[:3] - plane.position) @ normal
-            picture.depth = max(0.0, -float(height))
-            along = push @ normal
-            if along.sum() > 0.0:
-                weight = np.maximum(along, 0.0)
-                picture.centre = weight @ at / weight.sum()
-                slips = self._slips(time, touching, at, plane, turn, push, along, ground)
-            self._before = (time, positions, plane)
-        picture.contacts = np.zeros(len(touching), CONTACT)
-        picture.contacts["node"], picture.contacts["force"], picture.contacts["slips"] = touching, push, slips
+            picture.plane = (*plane.position, *plane.orientation)
+            own = [sum(turn[i][j] * ground.normal[i] for i in range(3)) for j in range(3)]
+            above = sum((place[i] - plane.position[i]) * ground.normal[i] for i in range(3))
+            picture.depth = max(0.0, -above - float((self._rest @ own).min()))
+        if forces.any():
+            self._touch(picture, positions, forces, place, ground)
+        else:
+            picture.wrench = (0.0,) * 6
+        self._before = (time, positions, ground)
         return picture
 
-    def pose_of(self, points: NDArray[np.float32]) -> Floats:
-        """Position and x y z w (7,) of the finger frame: three nodes, less their displacement, lie as at rest in it."""
-        three = points[self._three].astype(np.float64)
-        placed = three[:, 0:3] - three[:, 3:6]
-        turn = _frame(placed) @ self._frame.T
-        return np.concatenate([placed[0] - turn @ self._rest[self._three[0]], quaternion(turn)])
+    def _place(self, points: NDArray[np.float32]) -> tuple[Row, Rows]:
+        """Where the finger frame is: three nodes, less their displacement, lie as at rest in it."""
+        placed = [(x - a, y - b, z - c) for x, y, z, a, b, c in points[self._three, :6].tolist()]
+        now, rest = _frame(placed), self._frame
+        turn = tuple(tuple(sum(now[k][i] * rest[k][j] for k in range(3)) for j in range(3)) for i in range(3))
+        place = tuple(placed[0][i] - sum(turn[i][j] * self._first[j] for j in range(3)) for i in range(3))
+        return place, turn
+
+    def _touch(
+        self, picture: Picture, positions: NDArray[np.float32], forces: NDArray[np.float32], place: Row, ground: Ground
+    ) -> None:
+        """The nodes in contact, what they carry together, and where."""
+        touching = np.flatnonzero(forces.any(axis=1))
+        at, push = positions[touching].astype(np.float64), forces[touching].astype(np.float64)
+        picture.wrench = [*push.sum(axis=0).tolist(), *_cross(at - place, push).sum(axis=0).tolist()]
+        picture.contacts = np.zeros(len(touching), CONTACT)
+        picture.contacts["node"], picture.contacts["force"] = touching, push
+        if ground.plane is None:
+            return
+        along = push @ ground.normal
+        weight = np.maximum(along, 0.0)
+        total = weight.sum()
+        if total > 0.0:
+            picture.centre = (weight @ at / total).tolist()
+            picture.contacts["slips"] = self._slips(picture.time, touching, at, push, along, ground)
 
     def _slips(
-        self, time: float, touching: NDArray[np.intp], at: Floats, plane: Pose, turn: Floats, push: Floats,
-        along: Floats, ground: Ground,
-    ) -> NDArray[np.bool_]:  # fmt: skip
+        self, time: float, touching: NDArray[np.intp], at: Floats, push: Floats, along: Floats, ground: Ground
+    ) -> NDArray[np.bool_]:
         """Which of the touching nodes moved along the plane since the last picture with their friction at its limit."""
-        if self._before is None or not self._before[0] < time:
+        if self._before is None or not self._before[0] < time or ground.plane is None:
             return np.zeros(len(touching), bool)
-        before, was, plane_was = self._before
-        turn_was = turn if plane_was == plane else matrix(normalised(plane_was.orientation))
-        moved = (at - plane.position) @ turn[:, :2] - (was[touching] - np.array(plane_was.position)) @ turn_was[:, :2]
+        before, was, ground_was = self._before
+        if ground_was.plane is None:
+            return np.zeros(len(touching), bool)
+        moved = (at - ground.plane.position) @ ground.turn[:, :2]
+        moved -= (was[touching] - np.array(ground_was.plane.position)) @ ground_was.turn[:, :2]
         speed = np.hypot(moved[:, 0], moved[:, 1]) / (time - before)
-        friction = push - along[:, None] * turn[:, 2]
+        friction = push - along[:, None] * ground.turn[:, 2]
         most = (1.0 - max(ground.tolerance, _ROUNDING)) * ground.friction * along
         return np.asarray(((friction**2).sum(axis=1) >= most**2) & (speed > _CREEP))
 
@@ -118,21 +135,18 @@ def _far_apart(rest: Floats) -> NDArray[np.intp]:
     return np.array([first, second, third])
 
 
-def _frame(three: Floats) -> Floats:
-    """Axes in columns (3, 3) that turn with three points: along the first edge, in their plane, along its normal."""
-    (ax, ay, az), (bx, by, bz) = (three[1:] - three[0]).tolist()
-    length = math.sqrt(ax * ax + ay * ay + az * az)
-    ax, ay, az = ax / length, ay / length, az / length
-    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    nx, ny, nz = nx / length, ny / length, nz / length
-    return np.array(
-        [
-            [ax, ny * az - nz * ay, nx],
-            [ay, nz * ax - nx * az, ny],
-            [az, nx * ay - ny * ax, nz],
-        ]
-    )
+def _frame(three: Sequence[Sequence[float]]) -> Rows:
+    """Three axes that turn with three points: along their first edge, across it, and along their plane's normal."""
+    (px, py, pz), (qx, qy, qz), (rx, ry, rz) = three
+    ax, ay, az = _unit(qx - px, qy - py, qz - pz)
+    bx, by, bz = rx - px, ry - py, rz - pz
+    nx, ny, nz = _unit(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
+    return (ax, ay, az), (ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax), (nx, ny, nz)
+
+
+def _unit(x: float, y: float, z: float) -> Row:
+    length = math.sqrt(x * x + y * y + z * z) or 1.0
+    return x / length, y / length, z / length
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
@@ -140,17 +154,16 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
 
 
-def quaternion(turn: Floats) -> Floats:
+def _quaternion(turn: Rows) -> tuple[float, float, float, float]:
     """x y z w of a rotation matrix; w ≥ 0."""
-    xx, yy, zz = turn[0, 0], turn[1, 1], turn[2, 2]
-    squares = np.array([1.0 + xx - yy - zz, 1.0 - xx + yy - zz, 1.0 - xx - yy + zz, 1.0 + xx + yy + zz])
-    k = int(squares.argmax())
-    q = np.zeros(4)
-    q[k] = squares[k]
-    if k == 3:
-        q[:3] = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+    (a, b, c), (d, e, f), (g, h, i) = turn
+    if a + e + i > 0.0:
+        q = (h - f, c - g, d - b, 1.0 + a + e + i)
+    elif a >= e and a >= i:
+        q = (1.0 + a - e - i, b + d, c + g, h - f)
+    elif e >= i:
+        q = (b + d, 1.0 - a + e - i, f + h, c - g)
     else:
-        i, j = (k + 1) % 3, (k + 2) % 3
-        q[i], q[j], q[3] = turn[i, k] + turn[k, i], turn[j, k] + turn[k, j], turn[j, i] - turn[i, j]
-    q /= np.linalg.norm(q)
-    return q if q[3] >= 0.0 else -q
+        q = (c + g, f + h, 1.0 - a - e + i, d - b)
+    length = math.copysign(math.hypot(*q), q[3])
+    return q[0] / length, q[1] / length, q[2] / length, q[3] / length

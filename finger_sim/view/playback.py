@@ -7,8 +7,6 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from ..errors import FingerSimError
 from .hub import Hub, Past
 from .orders import Order, OrderError
@@ -94,7 +92,7 @@ class Playback:
         tape, scene = recording.tape, recording.scene_at(now)
         picture.command = tape.commands.at(now)
         device = tape.device.at(now)
-        picture.device = None if device is None else np.array(device[1])
+        picture.device = None if device is None else device[1]
         report: Report | None = tape.reports.at(now)
         picture.status = 0 if report is None else int(report.status)
         picture.virtual = scene is not None and scene.coupling.type == "virtual"

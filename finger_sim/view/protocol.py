@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,10 +26,12 @@ AT_LIMIT = 128
 
 _TOPOLOGY = struct.Struct("<8I")
 _FRAME = struct.Struct("<4Id4I")
-_FLOATS = 38
+_FLOATS = struct.Struct(f"<38f{FRAME_HEADER - _FRAME.size - 4 * 38}x")
+_UNKNOWN = [math.nan] * 7
 
 CONTACT = np.dtype([("node", "<u4"), ("force", "<f4", 3), ("slips", "<u4")])
 """A node in contact: force of the plane on it [N], world; 0 sticks, 1 slips."""
+NO_CONTACT = np.zeros(0, CONTACT)
 SAMPLE = np.dtype([(name, "<f4") for name in ("time", "normal", "tangential", "device", "depth")])
 """Forces [N] at a time [s] relative to the frame's, and depth [mm]."""
 
@@ -57,12 +61,13 @@ class Picture:
     """The finger at one moment, world axes, SI.
 
     time       : of its stamp [s]; of a recording: since its start
-    positions  : (N, 3) float32
+    positions  : (N, 3) float32, little-endian
     strain     : (N,) strain / limit
     pose       : (7,) of the finger frame, as command and plane: position and x y z w; None: not known
     wrench     : (6,) force and torque of the plane on the finger, about the finger frame's origin
     device     : (6,) force and torque that a device renders
     centre     : (3,) centre of pressure; None: nothing touches
+    These few numbers are plain ones: arrays of them take longer to make than to send.
     depth      : how far the undeformed finger is below the plane, ≥ 0
     contacts   : (C,) of CONTACT
     status     : bits of `physics.step.Status`
@@ -71,15 +76,15 @@ class Picture:
     time: float
     positions: NDArray[np.float32]
     strain: NDArray[np.float32]
-    pose: NDArray[np.float64] | None = None
-    command: NDArray[np.float64] | None = None
-    plane: NDArray[np.float64] | None = None
-    wrench: NDArray[np.float64] | None = None
-    device: NDArray[np.float64] | None = None
-    centre: NDArray[np.float64] | None = None
+    pose: Sequence[float] | None = None
+    command: Sequence[float] | None = None
+    plane: Sequence[float] | None = None
+    wrench: Sequence[float] | None = None
+    device: Sequence[float] | None = None
+    centre: Sequence[float] | None = None
     friction: float = np.nan
     depth: float = 0.0
-    contacts: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, CONTACT))
+    contacts: NDArray[np.void] = field(default_factory=lambda: NO_CONTACT)
     status: int = 0
     virtual: bool = False
 
@@ -106,20 +111,16 @@ class Frame:
 
     def __init__(self, generation: int, seq: int, picture: Picture) -> None:
         self.generation, self.seq, self.picture = generation, seq, picture
-        floats = np.full(_FLOATS, np.nan, "<f4")
         parts = (
-            (picture.pose, 0, 7), (picture.command, 7, 14), (picture.plane, 14, 21), (picture.wrench, 21, 27),
-            (picture.device, 27, 33), (picture.centre, 33, 36),
+            (picture.pose, 7), (picture.command, 7), (picture.plane, 7), (picture.wrench, 6), (picture.device, 6),
+            (picture.centre, 3),
         )  # fmt: skip
-        for values, begin, end in parts:
-            if values is not None:
-                floats[begin:end] = values
-        floats[36], floats[37] = picture.friction, picture.depth
-        self._floats = floats.tobytes().ljust(FRAME_HEADER - _FRAME.size, b"\0")
-        strain = np.clip(picture.strain * AT_LIMIT + 0.5, 0.0, 255.0).astype(np.uint8)
-        self._body = b"".join(
-            (picture.positions.astype("<f4").tobytes(), _padded(strain.tobytes()), picture.contacts.tobytes())
-        )
+        floats: list[float] = []
+        for values, count in parts:
+            floats.extend(_UNKNOWN[:count] if values is None else values)
+        self._floats = _FLOATS.pack(*floats, picture.friction, picture.depth)
+        strain = np.minimum(picture.strain * AT_LIMIT + 0.5, 255.0).astype(np.uint8)
+        self._body = b"".join((picture.positions.tobytes(), _padded(strain.tobytes()), picture.contacts.tobytes()))
         self._flags = (
             (COMMAND_KNOWN if picture.command is not None else 0)
             | (PLANE_KNOWN if picture.plane is not None else 0)
@@ -127,14 +128,14 @@ class Frame:
             | (VIRTUAL if picture.virtual else 0)
         )
 
-    def message(self, samples: NDArray[np.void], restart: bool = False) -> bytes:
-        """The frame with these samples (S,) of SAMPLE; restart: they replace all that came before."""
+    def message(self, samples: bytes, restart: bool = False) -> bytes:
+        """The frame with the bytes of samples (S,) of SAMPLE; restart: they replace all that came before."""
         picture = self.picture
         head = _FRAME.pack(
             FRAME, self.generation, self.seq, len(picture.positions), picture.time, len(picture.contacts),
-            len(samples), picture.status, self._flags | (RESTART if restart else 0),
+            len(samples) // SAMPLE.itemsize, picture.status, self._flags | (RESTART if restart else 0),
         )  # fmt: skip
-        return b"".join((head, self._floats, self._body, samples.tobytes()))
+        return b"".join((head, self._floats, self._body, samples))
 
 
 def _padded(data: bytes) -> bytes:

@@ -31,7 +31,7 @@ class CloudReader:
     """Reads clouds; how the messages of one node are laid out is found once."""
 
     def __init__(self) -> None:
-        self._length = self._at = self._bytes = 0
+        self._length, self._at, self._bytes = -1, 0, 0
 
     def read(self, data: bytes) -> Cloud:
         """The cloud in a PointCloud2 of the node. Raises FingerSimError for any other."""

@@ -15,7 +15,7 @@ from ..bags.changes import changes_in
 from ..bags.origin import read_origin, recorded_scene
 from ..errors import BagError, FingerSimError
 from ..physics.rotations import matrix, normalised
-from ..scene import Pose, Scene
+from ..scene import Scene
 from .forces import split
 from .picture import Ground, Painter, plane_frame
 from .protocol import SAMPLE, Picture
@@ -76,13 +76,13 @@ class Recording:
         """Changes made by then."""
         return bisect_right(self.changes.times, time)
 
-    def since(self, seen: int, time: float) -> tuple[NDArray[np.void], int]:
-        """Samples after number `seen`, up to `time` [s] and relative to it, and the number of the newest."""
+    def since(self, seen: int, time: float) -> tuple[bytes, int]:
+        """Samples after number `seen`, as messages hold them, up to `time` [s]; and the number of the newest."""
         newest = int(self._sample_times.searchsorted(time, side="right")) - 1
         first = max(seen + 1, newest + 1 - KEPT, 0)
         rows = self._samples[first : newest + 1].copy()
         rows["time"] = self._sample_times[first : newest + 1] - time
-        return rows, newest
+        return rows.tobytes(), newest
 
     def _paint(self, k: int) -> Picture:
         at = self.tape.cloud_times[k]
@@ -119,18 +119,17 @@ class Recording:
             rows["device"] = np.interp(times, tape.device.times, strength)
         for k, time in enumerate(times.tolist()):
             near = pictures[self.cloud_at(time)]
-            plane = Pose() if near.plane is None else Pose(orientation=tuple(near.plane[3:].tolist()))
-            normal = matrix(normalised(plane.orientation))[:, 2].tolist()
+            normal = self.ground(time).normal
             rows["normal"][k], rows["tangential"][k] = split(self._force(k, near), normal)
         return times, rows
 
     def _force(self, k: int, near: Picture) -> list[float]:
         """Contact force of sample k, world axes; near: the picture at its time."""
         if not self.tape.contact.times:
-            return [] if near.wrench is None else near.wrench[:3].tolist()
+            return list((near.wrench or [0.0] * 6)[:3])
         frame, wrench = self.tape.contact.values[k]
         if frame == self.options.get("finger_frame", "finger") and near.pose is not None:
-            turned: list[float] = (matrix(normalised(near.pose[3:].tolist())) @ wrench[:3]).tolist()
+            turned: list[float] = (matrix(normalised(near.pose[3:])) @ wrench[:3]).tolist()
             return turned
         return list(wrench[:3])
 

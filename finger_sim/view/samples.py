@@ -2,45 +2,45 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import math
+import struct
+from collections import deque
+from itertools import islice
 
-from .protocol import SAMPLE
-
-PERIOD = 0.005
-"""Time between two samples [s]."""
 KEPT = 2000
-"""Samples: ten seconds."""
+"""Samples that are sent to a page that comes new: of a recording those of ten seconds."""
+PERIOD = 0.005
+"""Time between two samples of a recording [s]."""
+_SAMPLE = struct.Struct("<5f")
 
 
 class Samples:
     """The newest samples, each numbered from 0 on."""
 
     def __init__(self) -> None:
-        self._times = np.zeros(KEPT)
-        self._rows = np.zeros(KEPT, SAMPLE)
+        self._rows: deque[tuple[float, float, float, float, float]] = deque(maxlen=KEPT)
         self._count = 0
 
     @property
     def last(self) -> float:
         """Time of the newest [s]; -inf: there is none."""
-        return float(self._times[(self._count - 1) % KEPT]) if self._count else -np.inf
+        return self._rows[-1][0] if self._rows else -math.inf
 
     def clear(self) -> None:
         """Forgets all."""
+        self._rows.clear()
         self._count = 0
 
-    def add(self, time: float, values: tuple[float, float, float, float]) -> None:
-        """Takes a sample later than the last [s]: normal, tangential and device force [N], depth [m]."""
-        place = self._count % KEPT
-        self._times[place] = time
-        self._rows[place] = (0.0, *values[:3], 1e3 * values[3])
+    def add(self, time: float, normal: float, tangential: float, device: float, depth: float) -> None:
+        """Takes a sample later than the last [s]: forces [N], depth [m]."""
+        self._rows.append((time, normal, tangential, device, 1e3 * depth))
         self._count += 1
 
-    def since(self, seen: int, time: float) -> tuple[NDArray[np.void], int]:
-        """Those after number `seen`, their times relative to `time` [s], and the number of the newest."""
-        first = max(seen + 1, self._count - KEPT, 0)
-        places = np.arange(first, self._count) % KEPT
-        rows = self._rows[places]
-        rows["time"] = np.minimum(self._times[places] - time, 0.0)
-        return rows, self._count - 1
+    def since(self, seen: int, time: float) -> tuple[bytes, int]:
+        """Those after number `seen`, as messages hold them, relative to `time` [s]; and the number of the newest."""
+        rows, skipped = self._rows, max(seen + 1 - self._count + len(self._rows), 0)
+        # Of ten seconds few are new: they are at the end.
+        new = islice(reversed(rows), len(rows) - skipped) if skipped else reversed(rows)
+        packed = [_SAMPLE.pack(min(row[0] - time, 0.0), *row[1:]) for row in new]
+        packed.reverse()
+        return b"".join(packed), self._count - 1

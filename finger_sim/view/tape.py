@@ -115,7 +115,7 @@ class Tape:
             elif name == "device_wrench":
                 self.device.add(time, read_wrench(message.data))
             elif name == "command_pose":
-                self.commands.add(time, np.array(read_pose(message.data).values))
+                self.commands.add(time, read_pose(message.data).values)
             elif name == "mesh_topology" and not found:
                 found.append(_topology(cdr.deserialize(message.data, cdr.MESH)))
             elif name == "/diagnostics" and message.type == DIAGNOSTICS:

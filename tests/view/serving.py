@@ -76,7 +76,7 @@ class Still:
             return None
         self.made += 1
         picture = Picture(float(self.made), np.zeros((self.nodes, 3), np.float32), np.zeros(self.nodes, np.float32))
-        self.samples.add(float(self.made), (1.0, 0.0, 0.0, 0.0))
+        self.samples.add(float(self.made), 1.0, 0.0, 0.0, 0.0)
         return picture
 
     def pose(self, position: list[float], orientation: list[float]) -> None:
