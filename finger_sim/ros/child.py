@@ -17,13 +17,25 @@ from ..errors import FingerSimError
 
 END_TIMEOUT = 15.0
 """Longest time that the node may take to close its bag and end [s]."""
+_WITH_ITS_PARENT = """
+import ctypes, os, signal, sys
+ctypes.CDLL(None).prctl(1, signal.SIGINT)
+if os.getppid() == int(sys.argv[1]):
+    os.execv(sys.executable, [sys.executable, *sys.argv[2:]])
+"""
+"""Starts Python with the arguments after the first; it gets SIGINT when the process with that id ends, however it ends:
+a node that nobody knows of would make steps for ever. (1 is PR_SET_PDEATHSIG of prctl(2).)"""
 
 
 def start_node(parameters: Mapping[str, Any], domain: int, log: Path) -> subprocess.Popen[bytes]:
-    """Starts the node with these parameters; what it says goes to the file `log`."""
+    """Starts the node with these parameters; what it says goes to the file `log`.
+
+    It ends with the thread that calls this.
+    """
     assigned = [f"{name}:={json.dumps(value)}" for name, value in parameters.items()]
     arguments = [text for assignment in assigned for text in ("-p", assignment)]
-    command = [sys.executable, "-m", "finger_sim.ros.node", "--ros-args", *arguments]
+    node = ["-m", "finger_sim.ros.node", "--ros-args", *arguments]
+    command = [sys.executable, "-c", _WITH_ITS_PARENT, str(os.getpid()), *node]
     with log.open("wb") as output:
         return subprocess.Popen(
             command,

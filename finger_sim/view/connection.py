@@ -166,7 +166,10 @@ class Connection(asyncio.Protocol):
 
     def _answer(self, request: Request) -> None:
         """A file, a WebSocket, or a refusal."""
-        url = urlsplit(request.path)
+        try:
+            url = urlsplit(request.path)
+        except ValueError:
+            return self._refuse(HTTPStatus.BAD_REQUEST, "no path")
         refusal = self._guard.refusal(request.headers.get_all("Host"), request.headers.get_all("Origin"))
         if refusal is not None:
             return self._refuse(HTTPStatus.FORBIDDEN, refusal)

@@ -244,6 +244,9 @@ class Hub:
         except FingerSimError as error:
             client.notice("warn", str(error))
             return
+        except Exception as error:  # whatever it is, it ends nothing
+            client.notice("error", f"{order.type}: {type(error).__name__}: {error}")
+            return
         if answer is not None:
             client.tell(order.type, answer)
 

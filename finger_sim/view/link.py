@@ -33,7 +33,8 @@ from ..bags.template import doubles
 from ..errors import FingerSimError
 from ..ros.messages import pose_template
 from ..ros.process import TRANSPORTS, logged
-from ..ros.rclpy_private import take_all
+from ..ros.rclpy_private import failures, take_all
+from ..scene import Pose
 from .values import Described
 from .words import NAME, Report
 
@@ -57,14 +58,19 @@ class Link:
     """Looks at the node of that full name, in `domain` or the environment's."""
 
     def __init__(self, name: str, domain: int | None, heard: Heard) -> None:
+        """Raises FingerSimError where ROS does not let this process in."""
         os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", TRANSPORTS)
         self.target = name
         self._heard = heard
         self._loop = asyncio.get_running_loop()
         self._context = rclpy.Context()
-        rclpy.init(
-            args=logged([]), context=self._context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO
-        )
+        quiet = {"domain_id": domain, "signal_handler_options": SignalHandlerOptions.NO}
+        refusals: tuple[type[Exception], ...] = (RuntimeError, *failures())
+        try:
+            rclpy.init(args=logged([]), context=self._context, **quiet)
+        except refusals as error:
+            text = " ".join(str(error).split())
+            raise FingerSimError(f"ROS_DOMAIN_ID {os.environ.get('ROS_DOMAIN_ID', '')}: ROS refuses: {text}") from None
         self.domain = int(self._context.get_domain_id())
         namespace = name.rpartition("/")[0] or "/"
         self._node = _Quiet(f"finger_sim_view_{os.getpid()}", namespace, self._context)
@@ -113,9 +119,9 @@ class Link:
         """Poses are sent in this frame."""
         self._template = pose_template(world)
 
-    def send(self, position: list[float], orientation: list[float]) -> None:
+    def send(self, pose: Pose) -> None:
         """Sends a command."""
-        self._publisher.publish(self._template.fill(time.time_ns(), doubles([*position, *orientation])))
+        self._publisher.publish(self._template.fill(time.time_ns(), doubles([*pose.position, *pose.orientation])))
 
     def senders(self, topic: str) -> int:
         """How many send on a topic; of command_pose this is one."""

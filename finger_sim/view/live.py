@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
-import math
+import re
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,20 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from ..bags.poses import check_pose, read_pose
 from ..errors import FingerSimError
-from ..scene import Plane, Pose
+from ..scene import Pose
 from .costs import LevelCosts
+from .eye import Eye
 from .files import RECORDINGS, Recordings
-from .forces import split
 from .guard import Guard
-from .hub import Hub
+from .hub import Hub, Past
 from .link import Heard, Link
 from .orders import Order, OrderError
-from .picture import Ground, Painter, plane_frame
 from .poses import Poses
 from .protocol import Picture, Topology
-from .raw import CloudReader, read_wrench
 from .samples import Samples
 from .session import Session
 from .shape import with_scene
@@ -34,6 +32,8 @@ from .words import FED_SLOWLY, Report, status_of
 
 LOOK_PERIOD = 0.25
 """Time between two looks at whether the node is there [s]."""
+_RECORDED = re.compile(r"(.*): \d+ messages, \d+ dropped")
+"""What the node answers when a recording has ended: its folder, and what is in it."""
 QUIET = 3.5
 """Time without a report, which a node sends each second, after which it has gone [s]."""
 
@@ -48,20 +48,15 @@ class LiveSource:
 
     def __init__(self, session: Session, guard: Guard, recordings: Recordings, watch: bool = False) -> None:
         self.drive = not watch
-        self.samples = Samples()
         self._session, self._guard, self._recordings = session, guard, recordings
         self._phase, self._message = "starting", "the node is starting"
         self._report, self._before, self._heard = Report(), Report(), 0.0
         self._values = Values({})
         self._costs = LevelCosts()
-        self._painter: Painter | None = None
-        self._ground, self._moved = Ground(), False
-        self._reader = CloudReader()
-        self._command: tuple[float, ...] | None = None
-        self._device: tuple[float, ...] | None = None
-        self._plane_moves = self._others_command = True
-        self._virtual = False
-        self._world = "world"
+        self._eye: Eye | None = None
+        self._nothing = Samples()
+        self._listens = False
+        self._refused = ""
         self._lock = asyncio.Lock()
         self._link: Link | None = None
         self._hub: Hub | None = None
@@ -72,15 +67,22 @@ class LiveSource:
         """Until it is cancelled."""
         self._hub = hub
         session = self._session
-        session.start()
-        self._link = Link(session.name, session.domain, Heard(self._on_report, self._on_topology, self._on_values))
         try:
+            session.start()
+            self._link = Link(session.name, session.domain, Heard(self._on_report, self._on_topology, self._on_values))
+            self._link.listen(self._listens)
             while True:
                 await asyncio.sleep(LOOK_PERIOD)
                 await self._look_after(hub)
         finally:
-            self._link.close()
+            if self._link is not None:
+                self._link.close()
             session.close()
+
+    @property
+    def samples(self) -> Past:
+        """See Source."""
+        return self._nothing if self._eye is None else self._eye.samples
 
     def hello(self) -> Mapping[str, Any]:
         """See Source."""
@@ -107,19 +109,24 @@ class LiveSource:
 
     def listen(self, on: bool) -> None:
         """See Source."""
+        self._listens = on
         if self._link is not None:
             self._link.listen(on)
 
     def look(self) -> Picture | None:
         """See Source."""
-        link, painter = self._link, self._painter
-        if link is None or painter is None:
+        if self._link is None or self._eye is None:
             return None
         try:
-            return self._look(link, painter)
+            picture = self._eye.look(self._link)
         except FingerSimError as error:
-            self._message = str(error)
+            if str(error) != self._refused and self._hub is not None:
+                self._hub.notice("error", str(error))
+            self._refused = str(error)
             return None
+        if picture is not None:
+            picture.status = int(self._report.status)
+        return picture
 
     def pose(self, position: list[float], orientation: list[float]) -> None:
         """See Source."""
@@ -156,8 +163,8 @@ class LiveSource:
         answer = await link.record(on)
         hub.notice("info", answer)
         if not on:
-            folder = Path(answer.rpartition(": ")[0])
-            offered = await asyncio.to_thread(self._recordings.add, folder)
+            found = _RECORDED.match(answer)
+            offered = await asyncio.to_thread(self._recordings.add, Path(found[1])) if found else None
             if offered is not None:
                 name, size = offered
                 url = f"{RECORDINGS}{name}{self._guard.query}"
@@ -176,15 +183,14 @@ class LiveSource:
         """A new node is to come."""
         self._phase, self._message = "starting", message
         self._report = self._before = Report()
-        self._painter, self._heard = None, 0.0
+        self._eye, self._heard = None, 0.0
 
     async def _look_after(self, hub: Hub) -> None:
         """Notices that the node has ended, or is not heard; starts our own again if it had been ready."""
         if self._lock.locked():
             return
-        if self._link is not None:  # nothing is looked for where nobody sends
-            self._plane_moves = self._link.senders("plane_pose") > 0
-            self._others_command = self._link.senders("command_pose") > 1
+        if self._link is not None and self._eye is not None:
+            self._eye.look_for(self._link)
         ended = self._session.ended
         if ended is not None:
             was_ready = self._report.runs
@@ -206,11 +212,12 @@ class LiveSource:
             return
         self._heard = time.monotonic()
         self._before, self._report = self._report if self._report.runs else report, report
-        if report.runs and self._painter is not None:
+        if report.runs and self._eye is not None:
             self._phase, self._message = "running", report.message
             self._costs.see(report)
         else:
-            self._phase, self._message = "starting", report.message
+            self._phase = "starting"
+            self._message = "its mesh is waited for" if report.runs else report.message
 
     def _on_topology(self, message: Any) -> None:
         rest = np.array([(v.x, v.y, v.z) for v in message.vertices])
@@ -222,9 +229,8 @@ class LiveSource:
         shown = self._values.take(changed)
         if shown and self._hub is not None:
             self._hub.tell("values", {"values": shown})
-            if {"plane.point", "plane.normal"} & shown.keys():
-                self._moved = False
-            self._settle()
+            if self._eye is not None:
+                self._eye.take(self._values, moved=bool({"plane.point", "plane.normal"} & shown.keys()))
             self._later(self._look_up_costs())
 
     def _later(self, work: Any) -> None:
@@ -247,17 +253,10 @@ class LiveSource:
         except FingerSimError as error:
             hub.notice("warn", f"its parameters are not known: {error}")
         self._costs = LevelCosts()
-        try:
-            scene = self._values.scene()
-            topology = await asyncio.to_thread(with_scene, topology, scene)
-        except FingerSimError:
-            pass  # its mesh is not on this machine: what was heard is shown
-        self._painter, self._reader = Painter(topology.rest), CloudReader()
-        self._command, self._device, self._moved = None, None, False
-        self.samples.clear()
-        self._world = str(self._values.plain("world_frame") or "world")
-        link.use_frame(self._world)
-        self._settle()
+        with contextlib.suppress(FingerSimError):  # its mesh is not on this machine: what was heard is shown
+            topology = await asyncio.to_thread(with_scene, topology, self._values.scene())
+        self._eye = Eye(topology, self._values)
+        link.use_frame(self._eye.world_frame)
         hub.begin(topology)
         # What lives until the end is not looked through again and again: that takes 20 ms.
         gc.collect()
@@ -266,64 +265,14 @@ class LiveSource:
 
     async def _look_up_costs(self) -> None:
         self._costs.use(self._values.plain("solver.level"))
-        try:
+        with contextlib.suppress(FingerSimError):  # nothing is known of a scene that is not here
             scene = self._values.scene()
             await asyncio.to_thread(lambda: self._costs.measured_errors(scene, scene.load_mesh()))
-        except FingerSimError:
-            pass  # nothing is known of a scene that is not here
-
-    def _settle(self) -> None:
-        """Takes what pictures need of the parameters."""
-        values = self._values
-        if "plane.friction" not in values:
-            self._ground = Ground()
-            return
-        plane = Plane(tuple(values.plain("plane.point")), tuple(values.plain("plane.normal")))
-        frame = self._ground.plane if self._moved else plane_frame(plane)
-        self._virtual = values.plain("coupling.type") == "virtual"
-        self._ground = Ground(frame, float(values.plain("plane.friction")), float(values.plain("solver.tolerance")))
-
-    def _look(self, link: Link, painter: Painter) -> Picture | None:
-        clouds = link.taken("mesh_points")
-        if not clouds:
-            return None
-        cloud = self._reader.read(clouds[-1])
-        if len(cloud.points) != len(painter):
-            return None  # of a node that has just been replaced
-        if self._plane_moves:
-            for data in link.taken("plane_pose"):
-                self._move_plane(check_pose(read_pose(data), self._world))
-        if self._others_command:
-            for data in link.taken("command_pose"):
-                pose = check_pose(read_pose(data), self._world)
-                if isinstance(pose, Pose):
-                    self._command = (*pose.position, *pose.orientation)
-        for data in link.taken("device_wrench"):
-            self._device = read_wrench(data)[1]
-        picture = painter.paint(cloud, 1e-9 * cloud.stamp, self._ground)
-        picture.command, picture.device = self._command, self._device
-        self._sample(picture)
-        picture.status = int(self._report.status)
-        picture.virtual = self._virtual
-        return picture
-
-    def _move_plane(self, pose: Pose | str) -> None:
-        """It is where plane_pose says until a parameter says otherwise."""
-        ground = self._ground
-        if isinstance(pose, Pose) and ground.plane is not None:
-            self._ground, self._moved = Ground(pose, ground.friction, ground.tolerance), True
-
-    def _sample(self, picture: Picture) -> None:
-        """The forces of a picture, for the plot."""
-        if picture.wrench is not None and picture.time > self.samples.last:
-            normal, tangential = split(picture.wrench[:3], self._ground.normal)
-            device = 0.0 if self._device is None else math.hypot(*self._device[:3])
-            self.samples.add(picture.time, normal, tangential, device, picture.depth)
 
     def _send(self, pose: Pose) -> None:
-        if self._link is not None and self._phase == "running":
-            self._link.send(list(pose.position), list(pose.orientation))
-            self._command = (*pose.position, *pose.orientation)
+        if self._link is not None and self._eye is not None and self._phase == "running":
+            self._link.send(pose)
+            self._eye.commanded(pose)
 
 
 def _stem(scene: Any) -> str:

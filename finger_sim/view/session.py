@@ -35,7 +35,7 @@ class OwnNode:
         self._out, self._options = out, dict(options or {})
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
         self.domain = free_domain()
-        self._log = Path(tempfile.mkdtemp(prefix="finger_sim_view_")) / "node.log"
+        self._log: Path | None = None
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
@@ -50,6 +50,8 @@ class OwnNode:
             "record_directory": str(self._out.resolve()),
             **self._options,
         }
+        if self._log is None:
+            self._log = Path(tempfile.mkdtemp(prefix="finger_sim_view_")) / "node.log"
         self._process = start_node(parameters, self.domain, self._log)
 
     def choose(self, scene: str) -> None:
@@ -73,16 +75,14 @@ class OwnNode:
     @property
     def said(self) -> str:
         """Its log."""
-        try:
-            return self._log.read_text(errors="replace")
-        except OSError:
-            return ""
+        return "" if self._log is None else self._log.read_text(errors="replace")
 
     def close(self) -> None:
         """Ends it and takes its log away."""
         self.end()
-        self._log.unlink(missing_ok=True)
-        self._log.parent.rmdir()
+        if self._log is not None:
+            self._log.unlink(missing_ok=True)
+            self._log.parent.rmdir()
 
     def _check(self, scene: str) -> None:
         """Raises FingerSimError where the node could not start with it."""

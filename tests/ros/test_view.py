@@ -26,6 +26,8 @@ LEVEL = [0.0, 0.0, 0.0, 1.0]
 class Viewer:
     """The verb in a process of its own."""
 
+    killed = False
+
     def __init__(self, folder: Path, *arguments: str, domain: int | None = None) -> None:
         self.log = folder / "view.log"
         command = [sys.executable, "-m", "finger_sim", "view", "--no-browser", "--port", "0", *arguments]
@@ -49,7 +51,8 @@ class Viewer:
     def __exit__(self, *_: object) -> None:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(30) == 0, self.log.read_text()
+        code = self.process.wait(30)
+        assert self.killed or code == 0, self.log.read_text()
         self.process.stdout.close()
 
 
@@ -194,6 +197,24 @@ def test_a_node_that_was_killed_comes_back(viewer, page) -> None:
     page.until(lambda: page.frames[-1].generation > generation, limit=200.0)
     assert viewer.node() != first
     runs(page)
+
+
+def test_no_node_is_left_behind(tmp_path: Path) -> None:
+    """Where the server is killed, its node ends, too."""
+    with Viewer(tmp_path, "--scene", str(write_block(tmp_path))) as viewer:
+        node = viewer.node()
+        viewer.process.kill()
+        viewer.process.wait(30)
+        until(lambda: not Path(f"/proc/{node}").exists() or "Z" in state_of(node), period=0.05, limit=60.0)
+        viewer.killed = True
+
+
+def state_of(process: int) -> str:
+    """As /proc tells it: Z is one that has ended."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return "Z"
 
 
 def test_another_scene(viewer, page) -> None:

@@ -26,9 +26,9 @@ from finger_sim.view.server import serve
 TIMEOUT = 20.0
 
 
-def until(condition: Callable[[], Any], period: float = 0.005) -> Any:
+def until(condition: Callable[[], Any], period: float = 0.005, limit: float = TIMEOUT) -> Any:
     """The condition's value once it is true."""
-    end = time.monotonic() + TIMEOUT
+    end = time.monotonic() + limit
     while not (value := condition()):
         assert time.monotonic() < end, "the condition did not come true"
         time.sleep(period)

@@ -56,6 +56,16 @@ def test_arguments_that_mean_nothing(arguments, told, capsys) -> None:
     assert "Traceback" not in said
 
 
+def test_a_domain_that_ros_refuses(monkeypatch, capsys) -> None:
+    """It is named, and nothing is left running."""
+    pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'finger_sim[ros]'")
+    monkeypatch.setenv("ROS_DOMAIN_ID", "one")
+    assert main(["view", "--join", "--no-browser", "--port", "0"]) == 2
+    said = capsys.readouterr().err
+    assert "ROS_DOMAIN_ID one: ROS refuses" in said
+    assert "Traceback" not in said
+
+
 @pytest.mark.parametrize(("missing", "extra"), [("websockets", "[view]"), ("rclpy", "[ros]")])
 def test_a_part_that_is_missing_is_named(missing, extra, monkeypatch, capsys) -> None:
     """With the command that installs it."""
