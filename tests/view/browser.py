@@ -25,7 +25,7 @@ FOLDER = "FINGER_SIM_SCREENSHOTS"
 """Names the folder in which pictures of all states are left. Without it, coarse pixels are drawn, which is fast."""
 POLL = 30.0
 """Time between two looks at a condition [ms]; a look takes time from what is looked at."""
-WITHIN = 25.0
+WITHIN = 60.0
 """Longest wait for any condition [s]: this is drawn in software, maybe on half a core."""
 
 
@@ -81,8 +81,8 @@ class Tab:
 
     def redrawn(self) -> None:
         """Waits until the picture is newer than what was done until now."""
-        drawn = int(self.data["drawn"])
-        self.until(lambda data: int(data["drawn"]) > drawn + 1)
+        pictures = int(self.data["pictures"])
+        self.until(lambda data: int(data["pictures"]) > pictures + 2)
 
     def text(self, selector: str) -> str:
         return self.page.locator(selector).inner_text()

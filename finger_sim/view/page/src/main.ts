@@ -36,6 +36,7 @@ const condition = new Condition(() => link.retry(), fresh);
 const rate = byId<HTMLSelectElement>("frames");
 let newest: Frame | null = null;
 let moved = performance.now();
+let pictures = 0; // of the screen, in which something may have been drawn
 
 const link = new Link({
   opened: () => (newest = null),
@@ -116,13 +117,13 @@ function picture(now: number): void {
   newest = null;
   if (frame !== null) show(frame);
   plots.tick(now);
+  tell("pictures", String((pictures += 1)));
   if (world === null || stage === null) return;
   hand?.beforeDrawing();
   world.beforeDrawing();
   if (stage.draw()) {
     wrench.place(world, condition.live);
     tellPlace(world, stage);
-    tell("drawn", String(Number(document.documentElement.dataset.drawn ?? 0) + 1));
   }
   if (frame !== null) {
     say({ type: "ack", seq: frame.seq });

@@ -40,6 +40,18 @@ function known(values: Float32Array): boolean {
   return values.every(Number.isFinite);
 }
 
+/** Whether two frames look the same: a finger at rest is not drawn again. */
+function looksLike(one: Frame, other: Frame): boolean {
+  const same = (a: ArrayLike<number>, b: ArrayLike<number>): boolean => {
+    for (let k = 0; k < a.length; k++) if (a[k] !== b[k] && !(Number.isNaN(a[k]) && Number.isNaN(b[k]))) return false;
+    return a.length === b.length;
+  };
+  const arrays = ["positions", "strain", "pose", "command", "plane", "force", "torque", "centre"] as const;
+  if (one.flags !== other.flags || !arrays.every((name) => same(one[name], other[name]))) return false;
+  const touching = ({ node, force, slips }: Frame["contacts"][number]): number[] => [node, ...force, Number(slips)];
+  return same(one.contacts.flatMap(touching), other.contacts.flatMap(touching));
+}
+
 /** What is drawn of one topology. */
 interface Body {
   topology: Topology;
@@ -86,10 +98,11 @@ export class World {
     const body = this.body;
     if (body === null || frame.generation !== body.topology.generation) return false;
     if (frame.positions.length !== body.topology.rest.length) return false;
-    const first = this.frame === null;
+    const before = this.frame;
+    const first = before === null;
     this.frame = frame;
     if (first) this.stage.scene.add(body.group);
-    this.refresh();
+    if (before === null || !looksLike(before, frame)) this.refresh();
     if (first) this.look("reset");
     return true;
   }
