@@ -28,6 +28,7 @@ def add_view(verbs: Any) -> None:
     add("--join", action="store_true", help="show a node that runs already")
     add("--node", metavar="NAME", help="of the node to join, with its namespace (default: /finger)")
     add("--watch", action="store_true", help="only show: the page neither holds the finger nor changes anything")
+    add("--device", action="store_true", help="show what a device is sent, too; steps of the node may wait for it")
     add("--port", type=_port, default=8470, metavar="N", help="0: any free one (default: %(default)s)")
     add("--address", default="127.0.0.1", metavar="IP", help="to serve at; any but this machine's own needs a token")
     add("--no-browser", action="store_true", help="do not open the page")
@@ -95,7 +96,7 @@ def _source(options: argparse.Namespace, guard: Any, recordings: Any) -> Source:
     else:
         session = OwnNode(options.scene or "finger_haptic", _folder(options.out or Path()))
         say(f"starting the node (ROS_DOMAIN_ID {session.domain})")
-    return LiveSource(session, guard, recordings, options.watch)
+    return LiveSource(session, guard, recordings, options.watch, options.device)
 
 
 def _folder(out: Path) -> Path:
@@ -114,7 +115,10 @@ def _refuse_what_does_not_fit(options: argparse.Namespace) -> None:
     from ..errors import FingerSimError
 
     given = {"--scene": options.scene, "--join": options.join, "--node": options.node, "--out": options.out}
-    pairs = [("BAG", options.bag, ("--scene", "--join", "--node", "--out")), ("--join", options.join, ("--scene", "--out"))]
+    pairs = [
+        ("BAG", options.bag, ("--scene", "--join", "--node", "--out")),
+        ("--join", options.join, ("--scene", "--out")),
+    ]
     for name, value, others in pairs:
         for other in others:
             if value and given[other]:

@@ -92,7 +92,7 @@ class Eye:
             self.samples.clear()
         if picture.wrench is not None and picture.time > self.samples.last:
             normal, tangential = split(picture.wrench[:3], self._ground.normal)
-            device = 0.0 if self._device is None else math.hypot(*self._device[:3])
+            device = math.nan if self._device is None else math.hypot(*self._device[:3])
             self.samples.add(picture.time, normal, tangential, device, picture.depth)
 
 

@@ -55,12 +55,16 @@ class Heard(NamedTuple):
 
 
 class Link:
-    """Looks at the node of that full name, in `domain` or the environment's."""
+    """Looks at the node of that full name, in `domain` or the environment's.
 
-    def __init__(self, name: str, domain: int | None, heard: Heard) -> None:
+    device : whether device_wrench is heard, too. The loop sends it in each step, and waits then for who takes it from
+             memory that they share: without a processor to spare 3 % of its steps were late for it
+    """
+
+    def __init__(self, name: str, domain: int | None, heard: Heard, device: bool = False) -> None:
         """Raises FingerSimError where ROS does not let this process in."""
         os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", TRANSPORTS)
-        self.target = name
+        self.target, self._device = name, device
         self._heard = heard
         self._loop = asyncio.get_running_loop()
         self._context = rclpy.Context()
@@ -99,9 +103,10 @@ class Link:
         """Begins or ends to hear what is sent only, or more cheaply, where nobody hears it."""
         topics = {
             "mesh_points": (PointCloud2, 1),
-            "device_wrench": (WrenchStamped, 1),
             "command_pose": (PoseStamped, 1),
         }
+        if self._device:
+            topics["device_wrench"] = (WrenchStamped, 1)
         for topic, (kind, depth) in topics.items():
             if on and topic not in self._subscriptions:
                 self._listen_to(topic, kind, depth)

@@ -41,13 +41,16 @@ QUIET = 3.5
 class LiveSource:
     """Shows the node of a session.
 
-    watch : whether pages only look
+    watch  : whether pages only look
+    device : whether what a device is sent is shown, too; see Link
     """
 
     kind = "node"
 
-    def __init__(self, session: Session, guard: Guard, recordings: Recordings, watch: bool = False) -> None:
-        self.drive = not watch
+    def __init__(
+        self, session: Session, guard: Guard, recordings: Recordings, watch: bool = False, device: bool = False
+    ) -> None:
+        self.drive, self._device = not watch, device
         self._session, self._guard, self._recordings = session, guard, recordings
         self._phase, self._message = "starting", "the node is starting"
         self._report, self._before, self._heard = Report(), Report(), 0.0
@@ -69,7 +72,8 @@ class LiveSource:
         session = self._session
         try:
             session.start()
-            self._link = Link(session.name, session.domain, Heard(self._on_report, self._on_topology, self._on_values))
+            heard = Heard(self._on_report, self._on_topology, self._on_values)
+            self._link = Link(session.name, session.domain, heard, self._device)
             self._link.listen(self._listens)
             while True:
                 await asyncio.sleep(LOOK_PERIOD)

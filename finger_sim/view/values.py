@@ -107,6 +107,7 @@ class Values:
             "choices": list(spec.choices),
             "doc": each.doc,
             "live": each.live,
+            "optional": spec.optional,
             "log": number and low > 0.0 and high / low >= _WIDE,
         }
 

@@ -73,7 +73,7 @@ def children(parent: int, word: bytes) -> list[int]:
 def viewer(tmp_path_factory) -> Iterator[Viewer]:
     folder = tmp_path_factory.mktemp("view")
     scene = write_block(folder)
-    with Viewer(folder, "--scene", str(scene), "--out", str(folder / "bags")) as found:
+    with Viewer(folder, "--scene", str(scene), "--out", str(folder / "bags"), "--device") as found:
         yield found
 
 
@@ -266,3 +266,35 @@ def test_a_page_that_only_watches(tmp_path: Path) -> None:
                 lambda: client.publish(command(-0.002), "plane_pose"),
             )
         assert node.end() == 0
+
+
+def test_the_demo_on_a_page(tmp_path: Path) -> None:
+    """It is shown live, by a page that only looks; the demo does its job as ever, and ends the page."""
+    pytest.importorskip("matplotlib")
+    command = [
+        sys.executable,
+        "-m",
+        "finger_sim",
+        "demo",
+        "--view",
+        "--duration",
+        "2",
+        "--rate",
+        "100",
+        "--out",
+        "demo",
+    ]
+    with subprocess.Popen(
+        command, cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment(0)
+    ) as demo:
+        assert demo.stderr is not None
+        url = next(line for line in demo.stderr if line.startswith("the page: "))
+        with Page(int(url.rpartition(":")[2].strip(" /\n"))) as page:
+            runs(page)
+            assert page.said[0]["drive"] is False
+            page.until(lambda: page.frames[-1].flags & 1)
+            assert not page.frames[-1].flags & 4  # nothing is heard that the loop itself would wait for
+            page.until_closed(limit=60.0)
+        out, err = demo.communicate(timeout=60)
+    assert demo.returncode == 0, err
+    assert "peak force" in out

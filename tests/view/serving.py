@@ -194,9 +194,9 @@ class Page:
             self.take()
         return value
 
-    def until_closed(self) -> None:
+    def until_closed(self, limit: float = TIMEOUT) -> None:
         """Takes what comes until the server has ended the connection."""
-        end = time.monotonic() + TIMEOUT
+        end = time.monotonic() + limit
         try:
             while time.monotonic() < end:
                 self.take()

@@ -71,6 +71,7 @@ def test_descriptions() -> None:
     friction, stiffness = items["plane.friction"], items["plane.stiffness"]
     assert (friction["low"], friction["high"], friction["live"], friction["log"]) == (0.0, 100.0, True, False)
     assert (stiffness["low"], stiffness["high"], stiffness["log"]) == (1e-3, 1e9, True)
+    assert (friction["optional"], stiffness["optional"]) == (False, True)
     assert items["solver.level"]["choices"] == ["standard", "lagged"]
     assert items["limits.stretch"]["value"] == [1.05, None, 1.02]
     assert (items["command_timeout"]["group"], items["dt"]["group"]) == ("node", "scene")
