@@ -84,6 +84,9 @@ def _make(options: argparse.Namespace) -> None:
         if not 0.0 <= options.begin <= end:
             raise FingerSimError(f"--begin: got {options.begin:g}, allowed: 0 to {end:g} s")
         count = 1 + round((end - options.begin) * options.rate)
+        _seek(page, options.begin, duration)
+        page.locator("[data-look=reset]").click()
+        page.mouse.move(1, options.size[1] - 1)
         pictures = []
         with gauge(f"drawing {options.bag}") as meter:
             for k in range(count):
@@ -131,21 +134,24 @@ def _opened(url: str, options: argparse.Namespace) -> Iterator[Page]:
             if page.locator("#play").get_attribute("data-playing") == "true":
                 page.locator("#play").click()
             _until(page, lambda data: data["playing"] == "false")
-            page.locator("[data-look=reset]").click()
-            page.mouse.move(1, height - 1)
             yield page
         finally:
             chromium.close()
+
+
+def _seek(page: Page, at: float, duration: float) -> None:
+    """Has the page show a time of the recording [s]."""
+    slider = page.locator("#time")
+    steps = int(slider.get_attribute("max") or 1)
+    slider.fill(str(round(steps * min(at / duration, 1.0))))
+    _until(page, lambda data: abs(float(data.get("time") or "nan") - at) <= NEAR)
 
 
 def _picture(page: Page, at: float, duration: float, settled: float) -> Image:
     """The page at a time of the recording [s], `settled` seconds after it was sought."""
     from PIL import Image
 
-    slider = page.locator("#time")
-    steps = int(slider.get_attribute("max") or 1)
-    slider.fill(str(round(steps * min(at / duration, 1.0))))
-    _until(page, lambda data: abs(float(data.get("time") or "nan") - at) <= NEAR)
+    _seek(page, at, duration)
     page.wait_for_timeout(1e3 * settled)
     return Image.open(io.BytesIO(page.screenshot())).convert("RGB")
 
