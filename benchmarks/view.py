@@ -44,6 +44,7 @@ def main() -> None:
     parser.add_argument("--scene", default="finger_haptic")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each measurement (default: %(default)g)")
     parser.add_argument("--drag", action="store_true", help="the client holds the finger and presses it")
+    parser.add_argument("--device", action="store_true", help="the page also shows what a device is sent")
     parser.add_argument("--late", action="store_true", help="instead: late steps of the node with and without a page")
     parser.add_argument("--priority", type=int, default=20, help="of the node's loop; 0: as any other thread")
     parser.add_argument("--slice", type=float, default=10.0, help="length of a slice [s]")
@@ -67,7 +68,7 @@ def main() -> None:
 
 def share(args: argparse.Namespace) -> None:
     """The server's share of a core."""
-    with page_server() as (pid, port):
+    with page_server(args.device) as (pid, port):
         for hz, allowed in ALLOWED.items():
             with Client(port, hz, args.drag) as client:
                 time.sleep(SETTLE)
@@ -91,7 +92,7 @@ def late(node: int, args: argparse.Namespace) -> None:
     """The node's late steps in slices with and without a page; the server runs in both, nobody looks in the latter."""
     found: dict[bool, list[float]] = {False: [], True: []}
     steps: dict[bool, list[float]] = {False: [], True: []}
-    with page_server() as (_, port), Bench(node, read_commands(find_bag(args.bag)), True) as bench:
+    with page_server(args.device) as (_, port), Bench(node, read_commands(find_bag(args.bag)), True) as bench:
         for k in range(2 * args.pairs):
             on = k % 2 == 1
             with Client(port, 30.0) if on else contextlib.nullcontext():
@@ -112,9 +113,10 @@ def late(node: int, args: argparse.Namespace) -> None:
 
 
 @contextlib.contextmanager
-def page_server() -> Iterator[tuple[int, int]]:
+def page_server(device: bool) -> Iterator[tuple[int, int]]:
     """`finger_sim view --join` in the node's domain: process id and port."""
     command = [sys.executable, "-m", "finger_sim", "view", "--join", "--no-browser", "--port", "0"]
+    command += ["--device"] if device else []
     process = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     assert process.stdout is not None
     try:
@@ -124,7 +126,7 @@ def page_server() -> Iterator[tuple[int, int]]:
         yield process.pid, int(url.rpartition(":")[2].strip("/"))
     finally:
         process.terminate()
-        process.wait(10)
+        process.wait(30)
 
 
 class Client:
