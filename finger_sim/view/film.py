@@ -35,8 +35,8 @@ NEAR = 0.06
 """How far from a time that was sought the frame may be that is shown for it [s]."""
 PLOT, PANEL = 0.12, 0.8
 """Time in which the plots, and in which the numbers of the panel follow a time that was sought [s]."""
-WITHIN = 30.0
-"""Longest wait for the page [s]."""
+WITHIN, LONGEST = 60.0, 120.0
+"""Longest wait for the page, and for one thing that the browser does [s]."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -115,7 +115,7 @@ def _served(bag: Path) -> Iterator[str]:
 def _opened(url: str, options: argparse.Namespace) -> Iterator[Page]:
     """The page, once it shows the recording."""
     try:
-        from playwright.sync_api import sync_playwright
+        from playwright.sync_api import Error, sync_playwright
     except ImportError:
         raise MissingExtraError("a film", "test") from None
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
@@ -123,10 +123,12 @@ def _opened(url: str, options: argparse.Namespace) -> Iterator[Page]:
         raise FingerSimError(f"a film needs one of the browsers {', '.join(BROWSERS)}: apt-get install chromium")
     width, height = options.size
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=browser, args=ARGUMENTS)
+        chromium = None
         try:
+            chromium = playwright.chromium.launch(executable_path=browser, args=ARGUMENTS)
             size: Any = {"width": width, "height": height}
             page = chromium.new_page(viewport=size, color_scheme=options.theme)
+            page.set_default_timeout(1e3 * LONGEST)
             page.goto(url)
             if not options.panel:
                 page.locator("#fold").click()
@@ -135,8 +137,11 @@ def _opened(url: str, options: argparse.Namespace) -> Iterator[Page]:
                 page.locator("#play").click()
             _until(page, lambda data: data["playing"] == "false")
             yield page
+        except Error as error:
+            raise FingerSimError(f"{browser}: {str(error).partition(chr(10))[0]}") from None
         finally:
-            chromium.close()
+            if chromium is not None:
+                chromium.close()
 
 
 def _seek(page: Page, at: float, duration: float) -> None:
