@@ -10,6 +10,8 @@ import pytest
 ROOT = Path(__file__).parent
 WITHOUT_KERNELS = ("bags", "recordings", "scene", "truth")
 """Folders whose tests need no kernels of a step: they run while the first node compiles them."""
+BROWSER = ("test_page", "test_film")
+"""Files of `view` that draw in a browser, which takes a processor."""
 MIDDLE = "test_p"
 """Files of `ros` before it take as long as those after it."""
 
@@ -31,7 +33,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """The tests of a file run in one process, so that what they share is made once.
 
     Those of the folder `ros` run in two, each half of its files in one: most of their time they wait, but three nodes
-    at once with their recorders and clients would not hear each other on two cores.
+    at once with their recorders and clients would not hear each other on two cores. Those in a browser run in one: two
+    that draw in software would be too slow.
     """
     from xdist.scheduler import LoadScopeScheduling
 
@@ -39,6 +42,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
         def _split_scope(self, nodeid: str) -> str:
             file = nodeid.split("::")[0]
             place = config.rootpath / file
+            if place.parent == ROOT / "view" and place.name.startswith(BROWSER):
+                return "browser"
             return f"ros {place.name < MIDDLE}" if place.parent == ROOT / "ros" else file
 
     return ByFile(config, log)

@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from ..errors import FingerSimError
 from ..plain import printing
-from . import meshes, recordings, simulate, studies
+from . import meshes, recordings, simulate, studies, view
 from .common import INTERRUPTED, MISTAKE
 from .signals import Terminated, unwinding
 
@@ -56,6 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_demo(verbs)
     simulate.add_run(verbs)
     simulate.add_play(verbs)
+    view.add_view(verbs)
     recordings.add_import(verbs)
     recordings.add_info(verbs)
     recordings.add_compare(verbs)

@@ -47,6 +47,7 @@ def add_demo(verbs: Any) -> None:
         metavar="DIR",
         help="new folder for bag, picture and log (default: finger_sim_demo, finger_sim_demo_2 …)",
     )
+    add("--view", action="store_true", help="show it live on a page in the browser")
     add("--strict", action="store_true", help="exit code 1 also where this machine did not hold the rate")
 
 
@@ -58,6 +59,7 @@ def _demo(options: argparse.Namespace) -> int:
         outcome = run_demo(
             options.scene, options.bag, options.out,
             rate=options.rate, priority=options.priority, duration=options.duration, topic=options.topic,
+            page=options.view,
         )  # fmt: skip
     except DemoError as error:
         say(f"finger_sim: the demo failed: {error}")

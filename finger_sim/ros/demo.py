@@ -6,13 +6,12 @@ import importlib.util
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +21,8 @@ from ..errors import FingerSimError, MissingExtraError, SceneError
 from ..scene import Scene
 from ..scene.fields import specs
 from ..scene.resources import find_bag, find_scene
+from ..view.beside import page_beside
+from .child import END_TIMEOUT, free_domain, last_line, last_of, node_process
 from .demo_verdict import DemoError as DemoError
 from .demo_verdict import Outcome, sum_up
 from .loop import StepCounts
@@ -38,8 +39,6 @@ READY_TIMEOUT = 300.0
 """Longest time that a node may take to its first step [s]; compiling takes up to a minute."""
 REPORT_TIMEOUT = 15.0
 """Longest time between two messages on /diagnostics of a living node [s]."""
-END_TIMEOUT = 15.0
-"""Longest time that the node may take to close its bag and end [s]."""
 FLOOR_TIME = 2.0
 """How long the bare loop is watched [s]; no longer than the commands."""
 PRIORITY = NodeOptions().realtime_priority
@@ -56,6 +55,7 @@ def run_demo(
     duration: float | None = None,
     topic: str | None = None,
     options: Mapping[str, object] | None = None,
+    page: bool = False,
 ) -> Outcome:
     """Measures a bare loop, starts the node, plays the commands of `bag` at it over ROS 2, records, draws, sums up.
 
@@ -66,9 +66,12 @@ def run_demo(
     priority : of the loop under SCHED_FIFO, where that is permitted; 0: none
     duration : of the commands that are played [s]; all of them if left out
     options  : further parameters of the node
+    page     : whether a page in the browser shows it
     Raises DemoError when the node or the recording fails, and other FingerSimErrors for what was asked for.
     """
     require_ros()
+    if page:
+        require_websockets()
     if importlib.util.find_spec("matplotlib") is None:
         raise MissingExtraError("drawing", "plot")
     loaded = _at_rate(Scene.load(scene), rate)
@@ -92,10 +95,10 @@ def run_demo(
     }
     length = commands.duration if duration is None else min(duration, commands.duration)
     floor = bare_loop(loaded.dt, min(FLOOR_TIME, length), priority)
-    played, code = _drive(parameters, commands, frame, duration, log)
+    played, code = _drive(parameters, commands, frame, duration, log, page)
     outcome = sum_up(recording, log, folder / "demo.png", played, loaded, len(mesh.tets), floor, priority)
     if code != 0:
-        outcome.failures.insert(0, f"the node ended with code {code}: {_last_line(log)}")
+        outcome.failures.insert(0, f"the node ended with code {code}: {last_line(log)}")
     return outcome
 
 
@@ -119,19 +122,20 @@ def bare_loop(dt: float, seconds: float, priority: int) -> StepCounts:
     try:
         return StepCounts(**json.loads(ran.stdout))
     except (ValueError, TypeError):
-        raise DemoError(f"the bare loop ended with code {ran.returncode}: {_last(ran.stderr)}") from None
+        raise DemoError(f"the bare loop ended with code {ran.returncode}: {last_of(ran.stderr)}") from None
 
 
 def _drive(
-    parameters: Mapping[str, Any], commands: Commands, frame: str, duration: float | None, log: Path
+    parameters: Mapping[str, Any], commands: Commands, frame: str, duration: float | None, log: Path, page: bool
 ) -> tuple[Played, int]:
     """Commands to a fresh node that records; what was played, and the node's exit code."""
     from .play import play, ros_node
 
-    domain = _free_domain()
+    domain = free_domain()
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     say(f"starting the node (ROS_DOMAIN_ID {domain})")
-    with _node_process(parameters, domain, log) as process, ros_node("finger_sim_demo", domain) as me:
+    shown = page_beside(domain, log.with_name("page.log")) if page else nullcontext()
+    with node_process(parameters, domain, log) as process, shown, ros_node("finger_sim_demo", domain) as me:
         reports = _Reports(me, process, log)
         reports.await_ready()
 
@@ -188,7 +192,7 @@ class _Reports:
         """Raises DemoError when the node has ended."""
         code = self._process.poll()
         if code is not None:
-            raise DemoError(f"the node ended with code {code}: {_last_line(self._log)}; see {self._log}")
+            raise DemoError(f"the node ended with code {code}: {last_line(self._log)}; see {self._log}")
 
     def _spin(self) -> list[Any]:
         """Reports that came since the last call; waits for one for a moment."""
@@ -196,33 +200,6 @@ class _Reports:
         self._executor.spin_once(timeout_sec=0.1)
         received, self._received[:] = list(self._received), []
         return received
-
-
-@contextmanager
-def _node_process(parameters: Mapping[str, Any], domain: int, log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """The node, its output in `log`; ended with the block, by force if it must be."""
-    assigned = [f"{name}:={json.dumps(value)}" for name, value in parameters.items()]
-    arguments = [text for assignment in assigned for text in ("-p", assignment)]
-    command = [sys.executable, "-m", "finger_sim.ros.node", "--ros-args", *arguments]
-    with log.open("wb") as output:
-        process = subprocess.Popen(
-            command,
-            env=os.environ | {"ROS_DOMAIN_ID": str(domain)},
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-            try:
-                process.wait(END_TIMEOUT)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
 
 
 def _refusal(priority: int) -> str | None:
@@ -240,6 +217,12 @@ def require_ros() -> None:
     """Raises MissingExtraError where rclpy is neither installed nor sourced."""
     if importlib.util.find_spec("rclpy") is None:
         raise MissingExtraError("no rclpy found: without a sourced ROS 2, this", "ros")
+
+
+def require_websockets() -> None:
+    """Raises MissingExtraError where the page cannot be served."""
+    if importlib.util.find_spec("websockets") is None:
+        raise MissingExtraError("the page", "view")
 
 
 def _at_rate(scene: Scene, rate: float) -> Scene:
@@ -270,27 +253,3 @@ def _make_folder(out: str | Path | None) -> Path:
     except OSError as error:
         raise FingerSimError(f"{error.filename or out}: cannot be made: {error.strerror}") from None
     raise FingerSimError(f"{FOLDER}_…: there are 10,000 already; remove some")
-
-
-def _free_domain() -> int:
-    """A ROS domain, 1 to 101, in which no process of this machine takes part."""
-    first = os.getpid() % 101
-    for domain in ((first + i) % 101 + 1 for i in range(101)):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", 7400 + 250 * domain + 10))  # where its first participant listens
-            except OSError:
-                continue
-            return domain
-    raise DemoError("all ROS domains of this machine are in use")
-
-
-def _last_line(log: Path) -> str:
-    """The last thing that the node said."""
-    return _last(log.read_text(errors="replace"))
-
-
-def _last(text: str) -> str:
-    """Its last line that is not empty."""
-    lines = [line for line in text.splitlines() if line.strip()]
-    return lines[-1] if lines else "it said nothing"

@@ -73,6 +73,15 @@ def take(subscription: Any) -> Taken | None:
     return None if taken is None else Taken(taken[0], taken[1]["received_timestamp"], taken[1]["source_timestamp"])
 
 
+def take_all(subscription: Any) -> list[bytes]:
+    """The messages that lie in a raw subscription, oldest first."""
+    handle, kind, out = subscription.handle, subscription.msg_type, []
+    with handle:
+        while (taken := handle.take_message(kind, True)) is not None:
+            out.append(taken[0])
+    return out
+
+
 def held_address(entity: Any, keep: ExitStack) -> int:
     """Of what rcl has of a publisher or a subscription, which ends after `keep` is closed. Raises FingerSimError."""
     keep.enter_context(entity.handle)
