@@ -60,6 +60,12 @@ def with_equations(markdown: str) -> str:
     return re.sub(r"^```math\n(.*?)^```$", block, markdown, flags=re.MULTILINE | re.DOTALL)
 
 
+def with_units_held(markdown: str) -> str:
+    """A page in whose tables no line breaks between a number and its unit."""
+    unit = re.compile(r"(?<=\d) (?=(?:µs|ms|s|N|mm|Hz|%)(?![\w/·]))")
+    return re.sub(r"^\|.*$", lambda line: unit.sub("\u00a0", line[0]), markdown, flags=re.MULTILINE)
+
+
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Puts the page of the view after the first one, where it exists."""
     nav: list[Any] = config.nav or []
@@ -79,5 +85,5 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """All that is replaced in a page."""
-    text = with_equations(with_tables(with_texts(markdown)))
+    text = with_equations(with_units_held(with_tables(with_texts(markdown))))
     return text.replace(f"]({PICTURES}", "](pictures/")

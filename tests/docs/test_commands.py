@@ -18,7 +18,7 @@ from processes import REPOSITORY
 TIMEOUT = 200.0
 """How long a block may take [s]."""
 TEXTS = [*ROOT_TEXTS, *PAGES]
-IN_CHECKOUT = ("examples", "benchmarks", "tests", "config")
+IN_CHECKOUT = ("examples", "benchmarks", "tests", "config", "finger_sim", "pyproject.toml")
 """What commands name from the root of the checkout, where they are run."""
 
 
