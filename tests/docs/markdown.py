@@ -46,7 +46,7 @@ def blocks(path: Path) -> list[Block]:
 
 def marks(path: Path) -> int:
     """How many comments begin with `run`: as many as `blocks` finds, or one of them is mistyped."""
-    return len(re.findall(r"<!--\s*run", path.read_text(encoding="utf-8")))
+    return len(re.findall(r"^\s*<!--\s*run", path.read_text(encoding="utf-8"), re.MULTILINE))
 
 
 def prose(path: Path) -> str:

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from itertools import groupby
 from pathlib import Path
 
 import pytest
@@ -15,8 +14,9 @@ from docs.markdown import PAGES, ROOT_TEXTS, Block, blocks, marks
 from domains import DOMAINS
 from processes import REPOSITORY
 
-TIMEOUT = 200.0
-"""How long a block may take [s]."""
+TIMEOUT = 300.0
+"""How long a block may take [s]: a few seconds, but for the first one that compiles kernels on a busy machine."""
+pytestmark = pytest.mark.timeout(2 * TIMEOUT)
 TEXTS = [*ROOT_TEXTS, *PAGES]
 IN_CHECKOUT = ("examples", "benchmarks", "tests", "config", "finger_sim", "pyproject.toml")
 """What commands name from the root of the checkout, where they are run."""
@@ -56,10 +56,9 @@ def test_commands_run(path: Path, checkout: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("path", pages(slow=True), ids=lambda path: path.name)
 def test_slow_commands_run(path: Path, checkout: Path) -> None:
-    """Each by itself."""
-    for number, (_, group) in enumerate(groupby(block for block in blocks(path) if block.slow)):
-        for block in group:
-            assert number < 100
+    """Those of a page that take minutes."""
+    for block in blocks(path):
+        if block.slow:
             run(block, checkout)
 
 
