@@ -18,8 +18,8 @@ TIMEOUT = 300.0
 """How long a block may take [s]: a few seconds, but for the first one that compiles kernels on a busy machine."""
 pytestmark = pytest.mark.timeout(2 * TIMEOUT)
 TEXTS = [*ROOT_TEXTS, *PAGES]
-IN_CHECKOUT = ("examples", "benchmarks", "tests", "config", "finger_sim", "pyproject.toml")
-"""What commands name from the root of the checkout, where they are run."""
+IN_CHECKOUT = ("examples", "benchmarks", "tests", "config", "pyproject.toml")
+"""What commands name from the root of the checkout. Not the package: it would be imported from here, without its data."""
 
 
 def pages(slow: bool) -> list[Path]:
