@@ -19,7 +19,7 @@ TIMEOUT = 300.0
 pytestmark = pytest.mark.timeout(2 * TIMEOUT)
 TEXTS = [*ROOT_TEXTS, *PAGES]
 IN_CHECKOUT = ("examples", "benchmarks", "tests", "config", "pyproject.toml")
-"""What commands name from the root of the checkout. Not the package: it would be imported from here, without its data."""
+"""What commands name from the root of the checkout. Not the package, which would be imported without its data."""
 
 
 def pages(slow: bool) -> list[Path]:
