@@ -1,4 +1,4 @@
-"""Draws README's picture of frames and signs from a press of finger_coupled: config/pictures/frames_and_signs.png.
+"""Draws the picture of docs/frames.md from a press of finger_coupled: config/pictures/frames_and_signs.png.
 
 Prints the wrenches that it shows, in each wrench_frame. Nothing in it is drawn by hand: mesh, frames and forces are
 what the simulator gives.

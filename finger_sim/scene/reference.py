@@ -1,4 +1,4 @@
-"""The facts of each parameter as README's tables tell them: name, default, allowed values, whether it is live."""
+"""The facts of each parameter as docs/scenes.md tells them: name, default, allowed values, whether it is live."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def dotted(part: type, prefix: str = "") -> Iterator[tuple[str, Field, Any]]:
 
 
 def rows(part: type) -> Iterator[str]:
-    """The beginning of each Markdown row: `| name | default | allowed | live |`; what it means is for README to say."""
+    """The beginning of each Markdown row: `| name | default | allowed | live |`; docs/hooks.py adds what it means."""
     for name, spec, default in dotted(part):
         live = "*live*" if spec.live else ""
         yield f"| `{name}` | {_default(default, spec)} | {_allowed(spec)} | {live} |"
@@ -60,5 +60,5 @@ def _allowed(spec: Field) -> str:
 
 
 def _number(value: float) -> str:
-    """As README writes numbers: 1e6, −9.81."""
+    """As the tables write numbers: 1e6, −9.81."""
     return re.sub(r"e([+-])0*(\d+)", lambda m: f"e{m[1].strip('+')}{m[2]}", f"{value:g}").replace("-", "−")

@@ -30,7 +30,7 @@ PERIOD = 0.002
 """Of the node [s]."""
 FORCE_LIMIT = 10.0
 LEAK = 4.0 * 0.01
-"""What README and `passivity` promise: four allowances of 10 mJ, beside what is in flight [J]."""
+"""What docs/device.md and `passivity` promise: four allowances of 10 mJ, beside what is in flight [J]."""
 
 
 @pytest.mark.slow

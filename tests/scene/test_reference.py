@@ -1,26 +1,10 @@
-"""README's tables of parameters say what the code says."""
+"""The rows of the tables of parameters say what the code says; tests/docs has the tables themselves."""
 
 from __future__ import annotations
-
-import re
-
-import pytest
-from processes import REPOSITORY
 
 from finger_sim.ros.options import NodeOptions
 from finger_sim.scene import Scene
 from finger_sim.scene.reference import rows
-
-README = (REPOSITORY / "README.md").read_text()
-
-
-@pytest.mark.parametrize("part", [Scene, NodeOptions])
-def test_readme_lists_every_parameter_with_its_facts(part: type) -> None:
-    """Name, default, allowed values and *live* of each, in the code's order: no other rows, none left out."""
-    wanted = list(rows(part))
-    tables = re.findall(r"(?:^\|.*\n)+", README, re.MULTILINE)
-    lines = next(text for text in tables if wanted[0] in text).splitlines()[2:]
-    assert [line[: len(row)] for line, row in zip(lines, wanted, strict=True)] == wanted
 
 
 def test_what_is_live_can_be_told_from_a_row() -> None:
