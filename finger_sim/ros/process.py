@@ -11,7 +11,7 @@ from pathlib import Path
 
 TRANSPORTS = "UDPv4"
 """Of Fast DDS, where the environment names none: through shared memory a publisher, and a step with it, waits for a
-listening process that was paused. A round trip takes 0.2 to 0.3 ms longer over UDP (README, Speed and accuracy). Under
+listening process that was paused. A round trip takes 0.2 to 0.3 ms longer over UDP (docs/speed.md). Under
 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST rmw takes shared memory all the same."""
 
 SWITCH_INTERVAL = 5e-5
