@@ -1,6 +1,7 @@
 """What the node does around the simulation: its own parameters, typed and range-checked as a scene's are.
 
-`python -m finger_sim.ros.options` prints the facts of all parameters as rows of the tables of docs/scenes.md. It needs no ROS.
+`python -m finger_sim.ros.options` prints the facts of all parameters as rows of the tables of docs/scenes.md. It needs
+no ROS.
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from view.browser import until
 
 from finger_sim.view.film import main
 
+pytestmark = pytest.mark.slow
 PRESS = ["--start", "0.4", "--duration", "1.2"]
 """Of press_flat: from above the plane until it is pressed."""
 
