@@ -47,12 +47,12 @@ def start_node(parameters: Mapping[str, Any], domain: int, log: Path) -> subproc
         )
 
 
-def end_node(process: subprocess.Popen[bytes]) -> None:
-    """Ends the node as Ctrl-C does, by force if it must be; nothing happens where it has ended."""
+def end_node(process: subprocess.Popen[bytes], patience: float = END_TIMEOUT) -> None:
+    """Ends the node as Ctrl-C does, after `patience` [s] by force; nothing happens where it has ended."""
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
         try:
-            process.wait(END_TIMEOUT)
+            process.wait(patience)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

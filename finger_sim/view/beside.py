@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..console import say
+from ..ros.child import end_node
 
 END_TIMEOUT = 5.0
 """How long it may take to end [s]."""
@@ -38,10 +38,5 @@ def page_beside(domain: int, log: Path) -> Iterator[None]:
         say(f"the page: {url}" if url else f"finger_sim: warning: there is no page; see {log}")
         yield
     finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(END_TIMEOUT)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        end_node(process, END_TIMEOUT)
         process.stdout.close()
