@@ -11,8 +11,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..errors import FingerSimError
 from ..scene import Pose
 from .costs import LevelCosts
@@ -26,7 +24,7 @@ from .poses import Poses
 from .protocol import Picture, Topology
 from .samples import Samples
 from .session import Session
-from .shape import with_scene
+from .shape import topology_of, with_scene
 from .values import Values
 from .words import FED_SLOWLY, Report, status_of
 
@@ -224,10 +222,9 @@ class LiveSource:
             self._message = "its mesh is waited for" if report.runs else report.message
 
     def _on_topology(self, message: Any) -> None:
-        rest = np.array([(v.x, v.y, v.z) for v in message.vertices])
-        triangles = np.array([t.vertex_indices for t in message.triangles], np.int32).reshape(-1, 3)
-        if len(rest) and not self._lock.locked():
-            self._later(self._begin(Topology(rest, triangles)))
+        if not self._lock.locked():
+            with contextlib.suppress(ValueError):  # another node's, or none
+                self._later(self._begin(topology_of(message)))
 
     def _on_values(self, changed: Mapping[str, Any]) -> None:
         shown = self._values.take(changed)

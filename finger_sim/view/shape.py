@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..errors import FingerSimError
@@ -11,6 +13,15 @@ from .protocol import BASE, BONE, NAIL, PAD, Topology
 _SAME = 1e-6
 """Distance up to which a node of a message is that of a mesh [m]: messages hold float64, some viewers' float32."""
 _SETS = {"bone": BONE, "nail": NAIL, "pad": PAD, "base": BASE}
+
+
+def topology_of(message: Any) -> Topology:
+    """What a shape_msgs/Mesh of the node tells. Raises ValueError for a mesh that is none."""
+    rest = np.array([(v.x, v.y, v.z) for v in message.vertices], np.float64).reshape(-1, 3)
+    triangles = np.array([t.vertex_indices for t in message.triangles], np.int32).reshape(-1, 3)
+    if len(rest) < 4 or not np.isfinite(rest).all() or not (triangles >= 0).all() or not (triangles < len(rest)).all():
+        raise ValueError("a mesh that is none")
+    return Topology(rest, triangles)
 
 
 def with_scene(heard: Topology, scene: Scene) -> Topology:

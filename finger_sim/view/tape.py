@@ -21,6 +21,7 @@ from ..scene import Pose
 from .protocol import Topology
 from .raw import CloudReader, read_wrench
 from .samples import PERIOD
+from .shape import topology_of
 from .words import NAME, Report
 
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
@@ -117,7 +118,7 @@ class Tape:
             elif name == "command_pose":
                 self.commands.add(time, read_pose(message.data).values)
             elif name == "mesh_topology" and not found:
-                found.append(_topology(cdr.deserialize(message.data, cdr.MESH)))
+                found.append(topology_of(cdr.deserialize(message.data, cdr.MESH)))
             elif name == "/diagnostics" and message.type == DIAGNOSTICS:
                 for status in cdr.deserialize(message.data, DIAGNOSTICS).status:
                     if status.name == NAME:
@@ -141,11 +142,3 @@ class Tape:
             return False
         self._due[what] = log_time + _THIN
         return True
-
-
-def _topology(message: Any) -> Topology:
-    rest = np.array([(v.x, v.y, v.z) for v in message.vertices], np.float64).reshape(-1, 3)
-    triangles = np.array([t.vertex_indices for t in message.triangles], np.int32).reshape(-1, 3)
-    if len(rest) < 4 or not np.isfinite(rest).all() or not (triangles >= 0).all() or not (triangles < len(rest)).all():
-        raise ValueError("a mesh that is none")
-    return Topology(rest, triangles)
