@@ -25,7 +25,9 @@ from .tensor_limit import at_node, less, pairs_of, spin_of, times, turned
 
 _FIRST, _SECOND = (0, 0, 1), (1, 2, 2)
 _APART = 0.1  # of λ_i − λ_j at least: nearer ones have rows between them (tensor_limit.py)
-_PASSED = 0.95  # strain/limit from which on one counts as passed: it may be so within the step
+# A limit counts as passed so much of its room before it is, as it may be so within the step: or, if less, by what it would
+# then hold with so many times the shear modulus. Of a limit that is all but rigid, the first would be a huge force.
+_AHEAD, _MODULI = 0.05, 15.0
 
 
 @stage
@@ -35,6 +37,7 @@ def add_turning(model: Model, state: State, h: float) -> None:
     near, frames, lane_J, factors = tensor.near, tensor.frames, tensor.lane_J, model.limit_factors
     tensor.turning_count[0] = 0
     stiffness = h * h / model.limit_compliance
+    passed = 1.0 - min(_AHEAD, _MODULI * model.lame_mu * model.limit_compliance)
     trace = 1.0 / 3.0 if model.patches.volume.shape[0] > 0 else 0.0
     for k in range(2 * near.shape[0]):
         b, side = k // 2, k % 2
@@ -45,10 +48,10 @@ def add_turning(model: Model, state: State, h: float) -> None:
         for d in range(3):
             i, j = _FIRST[d], _SECOND[d]
             p, q = sign * load8(frames, entry, i), sign * load8(frames, entry, j)
-            if bits(at_limit & (maximum(p, q) > _PASSED)) == 0:
+            if bits(at_limit & (maximum(p, q) > passed)) == 0:
                 continue
             a, c = _scaled(frames, entry, i, factors, side), _scaled(frames, entry, j, factors, side)
-            weight = _resistance(p, q, a, c)
+            weight = _resistance(p, q, a, c, passed)
             found = bits(at_limit & (weight > 0.0))
             if found == 0:
                 continue
@@ -73,14 +76,14 @@ def _scaled(frames: Floats, entry: int, i: int, factors: Floats, side: int) -> V
 
 
 @formula
-def _resistance(p: Lanes, q: Lanes, a: Vector, b: Vector) -> Lanes:
+def _resistance(p: Lanes, q: Lanes, a: Vector, b: Vector, passed: float) -> Lanes:
     """2 (f_i − f_j) / (λ_i − λ_j) in units of κ E V, of eigenvalues p, q and vectors a, b; 0 where it is negative."""
     a0, a1, a2 = a
     b0, b1, b2 = b
     none, one = splat8(0.0), splat8(1.0)
     size_a, size_b = a0 * a0 + a1 * a1 + a2 * a2, b0 * b0 + b1 * b1 + b2 * b2
     room_a, room_b = where(size_a > 0.0, one / size_a, none), where(size_b > 0.0, one / size_b, none)
-    more = room_a * room_a * maximum(p - _PASSED, none) - room_b * room_b * maximum(q - _PASSED, none)
+    more = room_a * room_a * maximum(p - passed, none) - room_b * room_b * maximum(q - passed, none)
     more = where(p > q, more, none - more)
     return 2.0 * maximum(more, none) / maximum(absolute(p - q), splat8(_APART))
 
