@@ -178,12 +178,14 @@ class Body:
         """What passed `tensor` limits resist the turning of their eigenvectors with, (3n, 3n) [N/m].
 
         For each two eigenvalues p > q of A⁺EA⁺ and −A⁻EA⁻ of one tetrahedron, with what its patch makes of E:
-        2 (f_p − f_q) / (p − q) g gᵀ, f = κ E V |Aq|⁻⁴ (λ − 0.95), 0 below, p − q ≥ 0.1, g = ∂(a_pᵀ E a_q)/∂x, a = Aq.
+        2 (f_p − f_q) / (p − q) g gᵀ, f = κ E V |Aq|⁻⁴ (λ − c), 0 below, p − q ≥ 0.1, g = ∂(a_pᵀ E a_q)/∂x, a = Aq.
+        c is 0.95, or nearer to 1 where κ E (1 − c) would be more than 15 μ.
         """
         K = np.zeros((3 * len(self.points),) * 2)
         if limits is None or limits.projection != "tensor" or limits.stiffness is None:
             return K
         patched = len(np.unique(self.patch)) < len(self.tets)
+        ahead = min(0.05, 15.0 * self.lame_mu / (limits.stiffness * young))
         own, bounded = self.deformation(x), self.bounded(x)
         for t, nodes in enumerate(self.tets):
             E = polar_strain(bounded[t])[0]
@@ -197,7 +199,7 @@ class Body:
                 for i, j in itertools.combinations(range(3), 2):
                     a, b = A @ vectors[:, i], A @ vectors[:, j]
                     forces = [
-                        max(values[k] - 0.95, 0.0) / float(y @ y) ** 2 if y @ y > 0.0 else 0.0
+                        max(values[k] - 1.0 + ahead, 0.0) / float(y @ y) ** 2 if y @ y > 0.0 else 0.0
                         for k, y in ((i, a), (j, b))
                     ]
                     weight = 2.0 * max(forces[1] - forces[0], 0.0) / max(values[j] - values[i], 0.1)
