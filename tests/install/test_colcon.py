@@ -1,6 +1,6 @@
 """`colcon build` makes of a checkout a package of a ROS 2 workspace, and `ros2 run finger_sim finger_node` runs that.
 
-ros2cli is in no wheel. What it does is done here: the workspace's setup.sh, the ament index, lib/<package> of its prefix.
+ros2cli is in no wheel. What it does is done here: setup.sh of the workspace, the ament index, lib/<package>.
 """
 
 from __future__ import annotations
