@@ -18,7 +18,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
@@ -45,7 +45,6 @@ from .diagnostics import Reporter
 from .given import unreached
 from .graph_watch import GraphWatch
 from .inbox import Command, Inbox
-from .lifecycle import Lifecycle, Transitions
 from .loop import StepCounts, Triggers, keep_in_memory, prefer_this_thread
 from .messages import time_of
 from .options import NodeOptions
@@ -57,6 +56,9 @@ from .scenery import Scenery
 from .stepper import Stepper
 from .ticker import Ticker
 from .transforms import Lookup
+
+if TYPE_CHECKING:
+    from .lifecycle import Lifecycle
 
 ANSWER_TIMEOUT = 2.0
 """How long a service waits for the loop [s]."""
@@ -117,6 +119,8 @@ class FingerNode(Node):  # type: ignore[misc]
         self.create_service(SetBool, "~/record", self._on_record)
         self._lifecycle: Lifecycle | None = None
         if options.lifecycle:
+            from .lifecycle import Lifecycle, Transitions
+
             self._loop.rest()
             does = (self._configure, self._activate, self._deactivate, self._clean_up, lambda: self._over.set())
             self._lifecycle = Lifecycle(self, Transitions(*does))
