@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -77,6 +78,7 @@ def test_one_life(managed: Managed, node: NodeProcess, folder: Path) -> None:
     assert refused.message == "the node is inactive: there is nothing to record"
 
     # Nothing of what came before moves it now.
+    begun = time.monotonic()
     assert managed.change(Transition.TRANSITION_ACTIVATE)
     managed.until(lambda: len(poses) > 5)
     assert poses[-1].pose.position.z == 0.01
@@ -86,6 +88,7 @@ def test_one_life(managed: Managed, node: NodeProcess, folder: Path) -> None:
     assert before > 0
 
     assert managed.change(Transition.TRANSITION_DEACTIVATE)
+    active = time.monotonic() - begun
     managed.until(lambda: wrenches[-1].wrench.force.z == 0.0)
     status, values = managed.report()
     made = len(poses)
@@ -96,12 +99,13 @@ def test_one_life(managed: Managed, node: NodeProcess, folder: Path) -> None:
     assert wrenches[-1].wrench.force.z == 0.0
 
     # It goes on where it was; the time at rest counts neither as late nor as skipped.
+    begun = time.monotonic()
     assert managed.change(Transition.TRANSITION_ACTIVATE)
     managed.until(lambda: wrenches[-1].wrench.force.z > 0.1, managed.press, BLOCK_DT)
-    status, values = managed.report(managed.press)
-    assert "slower than real time" not in status.message or int(values["overruns"]) > 0
-    assert int(values["overruns"]) * BLOCK_DT < 1.0
+    _, values = managed.report(managed.press)
+    active += time.monotonic() - begun
     assert int(values["steps"]) > before
+    assert (int(values["steps"]) + int(values["overruns"]) - 2) * BLOCK_DT <= active
 
     assert managed.change(Transition.TRANSITION_DEACTIVATE)
     assert managed.change(Transition.TRANSITION_CLEANUP)
