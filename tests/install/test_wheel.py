@@ -40,8 +40,11 @@ def alone() -> dict[str, str]:
 
 
 def ran(*words: str | Path, cwd: Path, code: int = 0) -> str:
-    """What a program prints; it ends with that exit code."""
-    done = subprocess.run(list(map(str, words)), cwd=cwd, env=alone(), capture_output=True, text=True, timeout=TIMEOUT)
+    """What a program prints; it ends with that exit code. Whatever it keeps, it keeps in `cwd`."""
+    kept = {"PIPX_HOME": str(cwd / "pipx"), "UV_CACHE_DIR": str(cwd / "uv")}
+    done = subprocess.run(
+        list(map(str, words)), cwd=cwd, env=alone() | kept, capture_output=True, text=True, timeout=TIMEOUT
+    )
     assert done.returncode == code, f"{words}\n{done.stdout}\n{done.stderr}"
     return done.stdout + done.stderr
 
