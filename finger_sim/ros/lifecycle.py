@@ -38,9 +38,8 @@ class Lifecycle(LifecycleNodeMixin):  # type: ignore[misc]
     _state_machine: Any
 
     def __init__(self, node: Any, transitions: Transitions) -> None:
-        self.handle, self.default_callback_group = node.handle, node.default_callback_group
-        self._services = rclpy_private.services(node)
         self._transitions, self._log = transitions, node.get_logger()
+        rclpy_private.join(self, node)
         super().__init__()
         rclpy_private.refuse_what_cannot_be(self)
 

@@ -56,15 +56,16 @@ def overrides(node: Any) -> Mapping[str, Any]:
     return {name: parameter.value for name, parameter in found.items()}
 
 
-def services(node: Any) -> list[Any]:
-    """The list of a node's services, to which others may be added before an executor has the node.
+def join(lifecycle: Any, node: Any) -> None:
+    """What a LifecycleNodeMixin needs of a node that it is no part of; its services become the node's.
 
-    Raises FingerSimError.
+    To be called before the mixin is initialised, and before an executor has the node. Raises FingerSimError.
     """
-    found = getattr(node, _SERVICES, None)
-    if not isinstance(found, list):
+    services = getattr(node, _SERVICES, None)
+    if not isinstance(services, list):
         raise _missing(f"rclpy.node.Node.{_SERVICES}")
-    return found
+    setattr(lifecycle, _SERVICES, services)
+    lifecycle.handle, lifecycle.default_callback_group = node.handle, node.default_callback_group
 
 
 def refuse_what_cannot_be(lifecycle: Any) -> None:

@@ -219,7 +219,7 @@ class Ticker(Loop):
         self._by_hand, answers = _one(), np.array([self._triggers is not None], np.int64)
         self._flow, self._counted = (_one(), _one(), _one(), _one(), self._by_hand, answers), nothing_counted()
 
-    def _set_out(self, rested: bool) -> None:
+    def _set_out(self, rested: bool = False) -> None:
         """What came before the first step, if the loop has not rested, and when that is."""
         with self._inbox.early:
             newest = self._stepper.newest
