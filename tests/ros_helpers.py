@@ -197,9 +197,9 @@ class Client:
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
         return self.call(SetParameters, "/finger/set_parameters", request).results[0]
 
-    def get(self, name: str) -> Any:
-        """The value of a parameter of the node."""
-        answer = self.call(GetParameters, "/finger/get_parameters", GetParameters.Request(names=[name]))
+    def get(self, name: str, node: str = "/finger") -> Any:
+        """The value of a parameter of a node."""
+        answer = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name]))
         return rclpy.parameter.parameter_value_to_python(answer.values[0])
 
     def describe(self, name: str) -> ParameterDescriptor:

@@ -66,6 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     studies.add_stress(verbs)
     studies.add_tradeoff(verbs)
     simulate.add_node(verbs)
+    simulate.add_params(verbs)
     return parser
 
 

@@ -1,4 +1,4 @@
-"""Verbs that simulate or feed a simulation: demo, run, play, node."""
+"""Verbs that simulate or feed a simulation: demo, run, play, node, params."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..ros.options import NodeOptions
 from .common import DONE, FAILED, from_zero, positive, priority, verb
 
 if TYPE_CHECKING:
@@ -284,3 +285,27 @@ def _node(options: argparse.Namespace) -> int:
     from ..ros.node import main as run_node
 
     return run_node(options.ros)
+
+
+def add_params(verbs: Any) -> None:
+    params = verb(
+        verbs,
+        "params",
+        _params,
+        "all parameters of the node for a scene, as a commented file for --params-file",
+        "finger_sim params finger_coupled > finger.yaml\n  finger_sim node --ros-args --params-file finger.yaml",
+    )
+    params.add_argument(
+        "scene",
+        metavar="SCENE",
+        nargs="?",
+        default=NodeOptions.scene,
+        help="whose values stand in the file (default: %(default)s)",
+    )
+
+
+def _params(options: argparse.Namespace) -> int:
+    from ..ros.params_file import params_file
+
+    print(params_file(options.scene), end="")
+    return DONE

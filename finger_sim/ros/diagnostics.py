@@ -24,9 +24,15 @@ SLOW_COMMANDS = 100.0
 
 
 class Reporter:
-    """Makes a DiagnosticArray of the time since the last one; called from one thread."""
+    """Makes a DiagnosticArray of the time since the last one; called from one thread.
 
-    def __init__(self, loop: Ticker, stepper: Stepper, outputs: Outputs, inbox: Inbox, graph: GraphWatch) -> None:
+    name : of the node, with its namespace: several fingers report on one topic
+    """
+
+    def __init__(
+        self, name: str, loop: Ticker, stepper: Stepper, outputs: Outputs, inbox: Inbox, graph: GraphWatch
+    ) -> None:
+        self._name = f"{name.strip('/')}: simulation"
         self._loop, self._stepper, self._outputs, self._inbox = loop, stepper, outputs, inbox
         self._graph = graph
         self._before: StepCounts | None = None
@@ -37,7 +43,9 @@ class Reporter:
         """The report at `stamp` [ns]; `starting` says what goes on until the loop is ready."""
         problems: list[tuple[int, str]] = []
         values: dict[str, str] = {}
-        if self._loop.ready:
+        if self._loop.resting and (self._loop.ready or not self._loop.alive):
+            problems.append((0, "inactive: no step is made" if self._loop.ready else "unconfigured: nothing is loaded"))
+        elif self._loop.ready:
             self._steps(values, problems)
         else:
             problems.append((1, f"starting: {starting}"))
@@ -49,7 +57,7 @@ class Reporter:
         level = max((level for level, _ in problems), default=0)
         status = DiagnosticStatus(
             level=bytes([level]),
-            name="finger: simulation",
+            name=self._name,
             hardware_id="finger_sim",
             message="; ".join(text for _, text in problems) or "ok",
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
@@ -62,7 +70,7 @@ class Reporter:
         loop, period, options = self._loop, self._stepper.scene.dt, self._outputs.options
         now, progress = time.monotonic(), loop.progress
         before = self._before or StepCounts(0, 0, 0, progress.begin, progress.begin)
-        wall = max(now - (self._reported or progress.begin), 1e-9)
+        wall = max(now - max(self._reported or progress.begin, self._loop.resumed), 1e-9)
         self._before, self._reported = progress, now
         window, imprint = self._between_steps()
         steps = progress.steps - before.steps
@@ -181,7 +189,7 @@ class Reporter:
         values["refused commands"] = str(refused)
         if refused:
             values["last refusal"] = reason
-        if self._stepper.rendering.stale:
+        if self._stepper.rendering.stale and not self._loop.resting:
             problems.append((1, "command is stale: holding the pose"))
         if refused > self._refused:
             problems.append((1, f"{refused - self._refused} commands refused: {reason}"))

@@ -24,6 +24,7 @@ from .accounts import MOST_TRANSPORT
 from .outputs import Outputs, ros_qos
 from .rclpy_private import Waiter, take
 from .recorder import RecordedTopic
+from .transforms import Lookup
 
 COMMAND_QOS = {"free": Qos(depth=1000, reliable=False), "triggered": Qos(depth=1000)}
 """Of command_pose, by mode; the parameters qos_overrides./command_pose.subscription.… change it.
@@ -61,14 +62,17 @@ class Inbox:
     early    : held by who takes what comes before the loop is ready, until it is where the loop finds it
     refused  : commands and plane poses of no use
     reason   : why the last of them was refused
+
+    frames : transforms poses of other frames; None: they are refused
+    What is transformed is recorded as it is followed, in the world frame: a replay needs no transforms.
     """
 
-    def __init__(self, node: Any, outputs: Outputs, has_plane: Callable[[], bool]) -> None:
+    def __init__(self, node: Any, outputs: Outputs, has_plane: Callable[[], bool], frames: Lookup | None) -> None:
         self.received = self.refused = 0
         self.also = np.zeros(1, np.int64)
         self.early = threading.Lock()
         self.reason = ""
-        self._outputs, self._has_plane = outputs, has_plane
+        self._outputs, self._has_plane, self._frames = outputs, has_plane, frames
         self._clock, self._log = node.get_clock(), node.get_logger()
         self._said: set[str] = set()
         self._lock = threading.Lock()
@@ -115,14 +119,14 @@ class Inbox:
             return [command for command in commands if command is not None]
 
     def judge(self, data: bytes, received: int) -> Command | None:
-        """The command in a message that was taken and counted elsewhere; None where it is of no use."""
+        """The command in a message that was taken and counted elsewhere; None where it is of no use. It is recorded."""
         with self._lock:
-            return self._command(data, received)
+            return self._command(self._kept(self._commands, data, received), received)
 
-    def judge_plane(self, data: bytes) -> Pose | None:
+    def judge_plane(self, data: bytes, received: int) -> Pose | None:
         """The same of a pose of the plane."""
         with self._lock:
-            accepted = self._accepted(data, "plane_pose")
+            accepted = self._accepted(self._kept(self._plane, data, received), "plane_pose")
             return None if accepted is None else accepted[0]
 
     def _command(self, data: bytes, received: int) -> Command | None:
@@ -141,17 +145,24 @@ class Inbox:
 
     def _take(self, subscription: _Subscription, now: int | None) -> list[tuple[bytes, int]]:
         """What came on it, recorded if there is a recording."""
-        taken, recorder = subscription.take(now), self._outputs.recorder
+        return [(self._kept(subscription, data, received), received) for data, received in subscription.take(now)]
+
+    def _kept(self, subscription: _Subscription, data: bytes, received: int) -> bytes:
+        """A message as it is followed, in the world frame if it can be; recorded if there is a recording."""
+        if self._frames is not None:
+            data = self._frames.in_world(data)
+        recorder = self._outputs.recorder
         if recorder is not None:
-            for data, received in taken:
-                recorder.put(subscription.name, data, received)
-        return taken
+            recorder.put(subscription.name, data, received)
+        return data
 
     def _accepted(self, data: bytes, what: str) -> tuple[Pose, int] | None:
         """Pose and stamp [ns] of a message; None where it is of no use: that is counted, and the first is logged."""
         try:
             message = read_pose(data)
             pose = check_pose(message, self._outputs.options.world_frame)
+            if isinstance(pose, str) and self._frames is not None:
+                pose = self._frames.why(message) or pose
             if what == "plane_pose" and not self._has_plane():
                 pose = "the scene has no plane to move"
             if not isinstance(pose, str):

@@ -18,7 +18,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
@@ -55,6 +55,10 @@ from .rosout import Rosout
 from .scenery import Scenery
 from .stepper import Stepper
 from .ticker import Ticker
+from .transforms import Lookup
+
+if TYPE_CHECKING:
+    from .lifecycle import Lifecycle
 
 ANSWER_TIMEOUT = 2.0
 """How long a service waits for the loop [s]."""
@@ -95,7 +99,8 @@ class FingerNode(Node):  # type: ignore[misc]
         self._outputs = Outputs(self, options)
         self._stepper = Stepper(scene, self._outputs, log)
         self._processors = parameters.processors(options.cpu_affinity)
-        self._inbox = Inbox(self, self._outputs, lambda: self._stepper.scene.plane is not None)
+        frames = Lookup(self, options.world_frame) if options.transform_commands else None
+        self._inbox = Inbox(self, self._outputs, lambda: self._stepper.scene.plane is not None, frames)
         self._resets = RecordedTopic(str(self.resolve_service_name(f"~/{RESET}")), cdr.EMPTY, RESET_QOS)
         self._rosout = Rosout(self, self._outputs)
         self._beginning = threading.Lock()
@@ -108,19 +113,28 @@ class FingerNode(Node):  # type: ignore[misc]
         self.add_on_set_parameters_callback(self._on_set)
         graph = GraphWatch(self, self._inbox.subscriptions)
         self._scenery = Scenery(self._outputs, self._loop.shown)
-        self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._inbox, graph)
+        name = self.get_fully_qualified_name()
+        self._reporter = Reporter(name, self._loop, self._stepper, self._outputs, self._inbox, graph)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
+        self._lifecycle: Lifecycle | None = None
+        if options.lifecycle:
+            from .lifecycle import Lifecycle, Transitions
+
+            self._loop.rest()
+            does = (self._configure, self._activate, self._deactivate, self._clean_up, lambda: self._over.set())
+            self._lifecycle = Lifecycle(self, Transitions(*does))
         for text in (*parameters.unused_qualities(overrides, self), *unreached(given, self)):
             log.warning(text)
         log.info(parameters.forces(options, scene))
 
     def run(self, stop: threading.Event) -> int:
         """Serves until `stop` is set or the loop fails; the exit code."""
+        self._over = stop
         executor = EventsExecutor()
         executor.add_node(self)
-        self._loop.start()
-        self._scenery.start()
+        if self._lifecycle is None:
+            self._begin()
         due = time.monotonic() + REPORT_PERIOD
         while not stop.is_set() and rclpy.ok() and self._loop.error is None:
             with self._inbox.early:
@@ -134,6 +148,40 @@ class FingerNode(Node):  # type: ignore[misc]
         executor.remove_node(self)
         return self._close()
 
+    def _begin(self) -> None:
+        """Loads what is simulated, and steps it unless it is to rest."""
+        self._loop.start()
+        self._scenery.start()
+
+    def _configure(self) -> None:
+        """Loads what is simulated. Nobody is answered meanwhile; diagnostics tell how far it is."""
+        if not self._loop.alive:
+            self._begin()
+        due = time.monotonic()
+        while not self._loop.ready:
+            if self._over.wait(0.1) or self._loop.error is not None:
+                raise FingerSimError(f"{self._loop.error or 'it was asked to'}: the node ends")
+            if time.monotonic() >= due:
+                self._report()
+                due += REPORT_PERIOD
+
+    def _activate(self) -> None:
+        path = self._outputs.options.record
+        if path and self._outputs.recorder is None:
+            self._record(bag_path("record", path))
+        self._ask(self._loop.call(self._loop.go_on))
+
+    def _deactivate(self) -> None:
+        """The next recording begins with the next steps: a replay knows of no rest."""
+        self._ask(self._loop.call(self._loop.rest))
+        recorder = self._outputs.recorder
+        if recorder is not None and recorder.active:
+            self._end_recording(recorder)
+
+    def _clean_up(self) -> None:
+        """What is loaded stays: no parameter that it was made of can change."""
+        self._ask(self._loop.call(self._reset))
+
     def _serve(self, executor: Any, timeout: float) -> None:
         """Answers what comes within `timeout` [s]. What rclpy cannot take, such as a negative /clock, ends nothing."""
         try:
@@ -145,6 +193,8 @@ class FingerNode(Node):  # type: ignore[misc]
             self.get_logger().error(f"a message or request cannot be taken: {text}", throttle_duration_sec=10.0)
 
     def _close(self) -> int:
+        if self._lifecycle is not None:
+            self._lifecycle.end()
         self._scenery.stop()
         stopped = self._loop.stop(timeout=0.5 if self._loop.ready else 0.1)
         recorder = self._outputs.recorder
@@ -165,7 +215,7 @@ class FingerNode(Node):  # type: ignore[misc]
         """The loop thread's way to its first step."""
         self._stepper.prepare(self._on_progress, self._loop.compile)
         self._loop.load(self._on_progress)
-        if self._outputs.options.record:
+        if self._outputs.options.record and self._lifecycle is None:
             self._record(bag_path("record", self._outputs.options.record))
         if self._outputs.options.lock_memory:
             refused = keep_in_memory()
@@ -274,6 +324,8 @@ class FingerNode(Node):  # type: ignore[misc]
                 why = f": {recorder.summary()}" if recorder and recorder.error else ""
                 raise FingerSimError(f"nothing is being recorded{why}")
             self._require_ready()
+            if self._loop.resting:
+                raise FingerSimError("the node is inactive: there is nothing to record")
             if request.data:
                 recorder = self._record(free_name(self._bags))
                 response.success, response.message = True, f"recording {recorder.path}"

@@ -26,6 +26,9 @@ class NodeOptions:
     world_frame: str = field(
         "text", "Frame of commands and of the mesh; a command in another is refused", default="world"
     )
+    transform_commands: bool = field(
+        "bool", "Whether poses in other frames are transformed to world_frame, not refused; needs tf2", default=False
+    )
     finger_frame: str = field("text", "Name of the finger frame", default="finger")
     wrench_frame: Literal["world_aligned", "finger", "world"] = field(
         "choice",
@@ -69,6 +72,11 @@ class NodeOptions:
         "free: steps at the rate 1/dt follow the newest command; triggered: one step for each command, with its stamp",
         default="free",
         choices=("free", "triggered"),
+    )
+    lifecycle: bool = field(
+        "bool",
+        "Whether the node waits until it is configured and activated (lifecycle_msgs); false: it begins by itself",
+        default=False,
     )
     cpu_affinity: str = field(
         "text", "Processors that the loop's thread may run on, as in 1 or 0,2-3; empty: any", default=""

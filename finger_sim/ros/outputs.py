@@ -5,13 +5,12 @@ Each message is serialised once; the same bytes are published and recorded.
 
 from __future__ import annotations
 
-import contextlib
 import time
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TransformStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
@@ -19,13 +18,13 @@ from visualization_msgs.msg import Marker
 
 from ..bags import cdr
 from ..bags.changes import EVENTS, EVENTS_QOS
-from ..bags.frames import MOVING, MOVING_QOS, PLANE, STANDING, STANDING_QOS, Frames
+from ..bags.frames import MOVING, MOVING_QOS, STANDING, STANDING_QOS, Frames
 from ..bags.layout import node_strain, pack_points, wrench_frame_id
 from ..bags.reader import Qos
 from ..bags.template import Template, doubles
 from ..scene import Pose, place
 from ..scene.mesh import TetMesh
-from . import messages
+from . import messages, transforms
 from .options import NodeOptions
 from .recorder import RecordedTopic, Recorder
 from .snapshot import Shown
@@ -84,7 +83,7 @@ class Outputs:
         self._device = messages.wrench_template(f"{options.finger_frame}_world_aligned")
         self._pose = messages.pose_template(options.world_frame)
         self._frames = Frames(options.world_frame, options.finger_frame)
-        self._broadcast = _Broadcast(node, options) if _Broadcast.available() else None
+        self._broadcast = transforms.Broadcast(node, options) if transforms.available() else None
 
     def prepare(self, mesh: TetMesh) -> None:
         """Makes room for the messages of a mesh and sends its topology."""
@@ -182,39 +181,6 @@ class Outputs:
             self.record(MOVING, self._frames.moving(shown.stamp, shown.pose, shown.plane))
         if self._broadcast is not None:
             self._broadcast.send(shown.pose, shown.plane, shown.stamp)
-
-
-class _Broadcast:
-    """Broadcasts the finger frame, its world-aligned twin and the plane where a system ROS 2 brings tf2_ros."""
-
-    def __init__(self, node: Any, options: NodeOptions) -> None:
-        from tf2_ros import TransformBroadcaster  # type: ignore[import-not-found]
-
-        self._broadcaster = TransformBroadcaster(node)
-        self._transforms = []
-        for child in (options.finger_frame, f"{options.finger_frame}_world_aligned", PLANE):
-            transform = TransformStamped(child_frame_id=child)
-            transform.header.frame_id = options.world_frame
-            self._transforms.append(transform)
-
-    @staticmethod
-    def available() -> bool:
-        with contextlib.suppress(ImportError):
-            import tf2_ros  # noqa: F401
-
-            return True
-        return False
-
-    def send(self, finger: Pose, plane: Pose | None, stamp: int) -> None:
-        poses = [finger, Pose(finger.position), *([] if plane is None else [plane])]
-        sent = self._transforms[: len(poses)]
-        for transform, pose in zip(sent, poses, strict=True):
-            time_ = transform.header.stamp
-            time_.sec, time_.nanosec = divmod(stamp, 1_000_000_000)
-            p, q = transform.transform.translation, transform.transform.rotation
-            p.x, p.y, p.z = (float(c) for c in pose.position)
-            q.x, q.y, q.z, q.w = (float(c) for c in pose.orientation)
-        self._broadcaster.sendTransform(sent)
 
 
 def ros_type(kind: Any) -> str:

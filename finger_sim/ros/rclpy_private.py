@@ -32,6 +32,8 @@ NAMES = (
 )
 """Module and attribute of all that is needed, apart from what only a node itself has."""
 _OVERRIDES = "_parameter_overrides"
+_SERVICES = "_services"
+_CHANGE_STATE = "_service_change_state"
 
 
 def require() -> None:
@@ -52,6 +54,38 @@ def overrides(node: Any) -> Mapping[str, Any]:
     if not isinstance(found, Mapping):
         raise _missing(f"rclpy.node.Node.{_OVERRIDES}")
     return {name: parameter.value for name, parameter in found.items()}
+
+
+def join(lifecycle: Any, node: Any) -> None:
+    """What a LifecycleNodeMixin needs of a node that it is no part of; its services become the node's.
+
+    To be called before the mixin is initialised, and before an executor has the node. Raises FingerSimError.
+    """
+    services = getattr(node, _SERVICES, None)
+    if not isinstance(services, list):
+        raise _missing(f"rclpy.node.Node.{_SERVICES}")
+    setattr(lifecycle, _SERVICES, services)
+    lifecycle.handle, lifecycle.default_callback_group = node.handle, node.default_callback_group
+
+
+def refuse_what_cannot_be(lifecycle: Any) -> None:
+    """A transition that the present state does not have is answered by no success; rclpy gives no answer at all.
+
+    Raises FingerSimError.
+    """
+    service = getattr(lifecycle, _CHANGE_STATE, None)
+    if service is None:
+        raise _missing(f"rclpy.lifecycle.node.LifecycleNodeMixin.{_CHANGE_STATE}")
+    made, (failure, _) = service.callback, failures()
+
+    def answer(request: Any, response: Any) -> Any:
+        try:
+            return made(request, response)
+        except failure:
+            response.success = False
+            return response
+
+    service.callback = answer
 
 
 class Taken(NamedTuple):

@@ -275,13 +275,13 @@ def _take_all(live: Live) -> int:
                 heard.failure[0] = -size
                 return UNHEARD
             data = bytes_at(incoming.messages[which, ADDRESS], incoming.messages[which, LENGTH])
-            recording.put(live.recording, live.sent.topics[3 + which], heard.when[0], data, size)
             if which == COMMAND:
                 heard.commands[0] += 1
             stamp = read_pose(data, heard.frame, heard.at)
             if stamp == LOOK or (which == PLANE and live.body.table.exists[0] == 0.0):
                 heard.looked[which] = received
-                return TO_LOOK
+                return TO_LOOK  # Python records it, as it is followed
+            recording.put(live.recording, live.sent.topics[3 + which], heard.when[0], data, size)
             if which == COMMAND:
                 hear(live, heard.when[0], stamp, 1e-9 * (wall - stamp - (present - heard.when[0])))
             else:

@@ -15,6 +15,7 @@ from ..errors import FingerSimError
 from ..haptics.budget import Purse, build_purse
 from ..haptics.path import numbers, pose_of
 from ..haptics.phase import no_phase
+from ..haptics.rendering import NO_WRENCH
 from ..physics.compile import compiling
 from ..physics.records import changed, direct, held
 from ..scene import Pose
@@ -41,6 +42,8 @@ class Ticker(Loop):
     """Makes steps every `period` [s], or one for each command.
 
     reported : what diagnostics tell of, for one thread
+    resting  : whether it makes no steps, and the device gets no force
+    resumed  : steady time at which it last made steps again [s]
 
     take     : commands that came by a steady time [ns], or till now; poses of the plane go to the Stepper
     triggers : commands that wait for their steps; None: steps have deadlines
@@ -64,7 +67,8 @@ class Ticker(Loop):
         self._take_commands, self._triggers = take, triggers
         self._clock, self._log = clock, log
         self._grid, self._phase = deadlines(period), no_phase(period)
-        self._loaded = False
+        self._loaded = self.resting = False
+        self.resumed = 0.0
         self._wake = self._ask
         self._endpoints = Endpoints(self._outputs.stepped(), self._inbox.subscriptions)
         self._said = ""
@@ -91,9 +95,17 @@ class Ticker(Loop):
 
     def shown(self, whole: bool) -> Shown | None:
         """The body after its last step, whole or not, for one thread; None before that, or of a loop that stands."""
-        if not self.ready or not self._shown.take(_PATIENCE):
+        if not self.ready or self.resting or not self._shown.take(_PATIENCE):
             return None
         return self._shown.shown(self._stepper.sim, whole)
+
+    def rest(self) -> None:
+        """Makes no steps from now on; before the start, or by `call`."""
+        self.resting = True
+
+    def go_on(self) -> None:
+        """Makes steps again; likewise."""
+        self.resting = False
 
     def _ask(self) -> None:
         self._grid.asked[0] = 1
@@ -112,7 +124,10 @@ class Ticker(Loop):
         return StepCounts(steps, late, overruns + dropped, begin, max(begin, last))
 
     def _turn(self, origin: float) -> None:
-        self._set_out()
+        rested = self.resting
+        if rested:
+            self._rest()
+        self._set_out(rested)
         asked = {
             tick.ASKED: self._listen,
             tick.TO_AWAIT: self._await,
@@ -136,7 +151,24 @@ class Ticker(Loop):
         """Somebody wants a turn between two steps."""
         self._grid.asked[0] = 0
         self._answer()
+        if self.resting:
+            self._rest()
         self._arrange()
+
+    def _rest(self) -> None:
+        """Until steps are wanted again, or the end. Commands that come meanwhile are passed over."""
+        begun = time.monotonic_ns()
+        self._stepper.rendering.silence()
+        self._outputs.stepped()[tick.DEVICE][1].fill(time_of(self._clock), NO_WRENCH.tobytes())
+        self._endpoints.send(tick.DEVICE)
+        while self.resting and not self._stop.is_set():
+            time.sleep(IDLE_PERIOD)
+            self._take_commands(None)
+            self._answer()
+        now = time.monotonic_ns()
+        self._grid.origin[0] += now - begun
+        self._grid.last[0] = now
+        self.resumed = 1e-9 * now
 
     def _await(self) -> None:
         """The next command has its step; without one, the device is let go of in time."""
@@ -187,11 +219,11 @@ class Ticker(Loop):
         self._by_hand, answers = _one(), np.array([self._triggers is not None], np.int64)
         self._flow, self._counted = (_one(), _one(), _one(), _one(), self._by_hand, answers), nothing_counted()
 
-    def _set_out(self) -> None:
-        """What came before the first step, and when that is."""
+    def _set_out(self, rested: bool = False) -> None:
+        """What came before the first step, if the loop has not rested, and when that is."""
         with self._inbox.early:
             newest = self._stepper.newest
-        if newest is not None and self._triggers is None:
+        if newest is not None and self._triggers is None and not rested:
             self._follow(newest)
         self._shift()
         self._stepper.follow(self._newest)
@@ -252,7 +284,7 @@ class Ticker(Loop):
             if command is not None:
                 self._follow(command)
         else:
-            plane = self._inbox.judge_plane(data)
+            plane = self._inbox.judge_plane(data, received)
             if plane is not None:
                 self._stepper.plane = plane
                 self._shift()
@@ -274,10 +306,7 @@ class Ticker(Loop):
         which, failure = int(self._heard.which[0]), int(self._heard.failure[0])
         if failure != -UNFIT:
             raise FingerSimError(f"what comes in cannot be taken: {meaning(failure)}")
-        data, received = self._endpoints.taken(which).data, time.monotonic_ns()
-        if self._outputs.recorder is not None:
-            self._outputs.recorder.put(self._inbox.topics[which], data, received)
-        self._judge(which, data, received)
+        self._judge(which, self._endpoints.taken(which).data, time.monotonic_ns())
         self._arrange()
 
     def _place(self) -> None:

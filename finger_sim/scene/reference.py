@@ -30,10 +30,11 @@ def rows(part: type) -> Iterator[str]:
     """The beginning of each Markdown row: `| name | default | allowed | live |`; docs/hooks.py adds what it means."""
     for name, spec, default in dotted(part):
         live = "*live*" if spec.live else ""
-        yield f"| `{name}` | {_default(default, spec)} | {_allowed(spec)} | {live} |"
+        yield f"| `{name}` | {default_of(default)} | {allowed_of(spec)} | {live} |"
 
 
-def _default(value: Any, spec: Field) -> str:
+def default_of(value: Any) -> str:
+    """A field's default in words."""
     if value is dataclasses.MISSING:
         return "needed"
     if value is None or value == "":
@@ -45,7 +46,8 @@ def _default(value: Any, spec: Field) -> str:
     return _number(value) if isinstance(value, int | float) else str(value)
 
 
-def _allowed(spec: Field) -> str:
+def allowed_of(spec: Field) -> str:
+    """What a field may hold, in words."""
     if spec.kind == "bool":
         text = "true, false"
     elif spec.kind == "choice":

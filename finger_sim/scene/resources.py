@@ -22,7 +22,7 @@ CLAIMS = {"claims", "rungs"}
 
 def shipped(kind: str) -> Path:
     """Folder of shipped files of one `kind`: "config" (scenes, `presets/`, `meshes/`) or "bags"."""
-    package = Path(str(files(__name__.partition(".")[0])))
+    package = Path(str(files(__name__.partition(".")[0]))).resolve()  # colcon build --symlink-install makes a link
     packaged = package / "data" / kind
     return packaged if packaged.is_dir() else package.parent / kind
 

@@ -12,6 +12,10 @@ from geometry_msgs.msg import WrenchStamped
 from ros_helpers import REPOSITORY, TIMEOUT, Client, NodeProcess, environment
 
 LOOP = REPOSITORY / "examples" / "device_loop.py"
+SCRIPTS = (
+    "examples/device_loop.py", "examples/draw_frames.py", "examples/sim_time.py", "benchmarks/echo_node.py",
+    "benchmarks/hand.py",
+)  # fmt: skip
 
 
 def test_the_device_loop_feels_the_table_and_ends_with_ctrl_c(tmp_path):
@@ -44,7 +48,7 @@ def test_the_device_loop_feels_the_table_and_ends_with_ctrl_c(tmp_path):
         assert node.end() == 0, node.output
 
 
-@pytest.mark.parametrize("script", ["examples/device_loop.py", "examples/draw_frames.py", "benchmarks/echo_node.py"])
+@pytest.mark.parametrize("script", SCRIPTS)
 def test_help_is_help(script):
     """It begins nothing, and says what the script is for."""
     done = subprocess.run(

@@ -124,7 +124,7 @@ def test_what_the_file_of_a_mesh_lost_is_logged(monkeypatch: pytest.MonkeyPatch)
 
 def test_a_recording_begins_with_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a step brings that began before the recording is not in it, however late it is sent."""
-    monkeypatch.setattr("finger_sim.ros.outputs._Broadcast.available", lambda: False)
+    monkeypatch.setattr("finger_sim.ros.transforms.available", lambda: False)
     kept: list[tuple[str, int]] = []
     node = SimpleNamespace(
         create_publisher=lambda kind, name, qos: SimpleNamespace(topic_name=name, publish=lambda data: None)
