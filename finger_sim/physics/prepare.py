@@ -45,6 +45,8 @@ class Tissue(NamedTuple):
     damping_mass: float  # Rayleigh α [1/s]
     damping_stiffness: float  # Rayleigh β [s]
     patched: bool = False  # volume strain is that of patches of tetrahedra, not each one's own
+    relaxation: tuple[tuple[float, float], ...] = ()  # time [s] and share of the stress of each term that fades
+    relaxes_pressure: bool = False  # shares are of all of the stress, else of its deviator
 
     @property
     def bulk(self) -> float:
@@ -160,6 +162,8 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         if tissue.patched
         else tissue.young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)),
         lame_mu=tissue.shear,
+        relaxation=np.array(tissue.relaxation, np.float64).reshape(-1, 2),
+        relaxes_pressure=tissue.relaxes_pressure,
         least_force=_least_force(tissue.shear, setting.gravity, mass, length),
         damping_mass=tissue.damping_mass,
         damping_stiffness=tissue.damping_stiffness,
@@ -171,6 +175,7 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         sweeps_at=0,
         decompose_at=0,
         limit_rows_at=0,
+        relax_at=0,
         **live._asdict(),
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from array import array
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -22,6 +23,7 @@ from ..physics.locking import STIFF_BULK, STRAINS
 from ..scene import Limits, Plane, Scene, locking
 from ..scene.fields import to_dict
 from ..scene.mesh import TetMesh
+from ..scene.parts import Material
 from ..scene.resources import bag_named, existing, mesh_named, scene_named, shipped_names
 
 
@@ -154,6 +156,7 @@ def _scene(path: Path) -> Iterator[tuple[str, Table]]:
         "free": f"{len(mesh.points) - driven} nodes",
         "material": f"E {material.young:g} Pa, ν {material.poisson:g}, {material.density:g} kg/m³, "
                     f"damping {material.damping.mass:g} 1/s · M + {material.damping.stiffness:g} s · K",
+        "relaxation": _relaxation(material),
         "limits": _limits(scene.limits),
         "plane": _plane(scene.plane),
         "solver": f"{scene.solver.method}, tolerance {scene.solver.tolerance:g}, "
@@ -232,6 +235,15 @@ def _limits(limits: Limits | None) -> str:
     return f"{limits.projection}, stretch along {axes}, {stiffness}"
 
 
+def _relaxation(material: Material) -> str:
+    """What fades while a strain is held, and what stays."""
+    if not material.relaxation:
+        return "none"
+    terms = ", ".join(f"{term.share:g} with {term.time:g} s" for term in material.relaxation)
+    stays = 1.0 - sum(term.share for term in material.relaxation)
+    return f"of the {material.relaxes}: {terms}; {stays:.3g} stays"
+
+
 def _plane(plane: Plane | None) -> str:
     if plane is None:
         return "none"
@@ -250,6 +262,8 @@ def _plain(value: Any) -> str:
         return "[" + ", ".join(_plain(item) for item in value) + "]"
     if isinstance(value, float):
         return f"{value:g}"
+    if dataclasses.is_dataclass(value):
+        return f"{{{', '.join(f'{name}: {_plain(part)}' for name, part in to_dict(value).items())}}}"
     return "null" if value is None else str(value)
 
 

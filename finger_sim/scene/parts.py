@@ -59,8 +59,16 @@ class Damping:
 
 
 @dataclasses.dataclass(frozen=True)
+class Relaxation:
+    """A part of the stress that fades while a strain is held (one term of a Prony series)."""
+
+    time: float = field("float", "Time constant τ, in which it falls to 1/e", unit="s", low=1e-5, high=1e5)
+    share: float = field("float", "Its share of the stress of a strain that has just come", low=0.0, high=0.999)
+
+
+@dataclasses.dataclass(frozen=True)
 class Material:
-    """Corotational linear elasticity."""
+    """Corotational linear elasticity, which may relax."""
 
     density: float = field("float", "Mass density", default=1000.0, unit="kg/m^3", low=1.0, high=1e5)
     young: float = field("float", "Young's modulus E", default=2.0e6, unit="Pa", low=1.0, high=1e12)
@@ -72,6 +80,26 @@ class Material:
         default="element",
         choices=("element", "patch"),
     )
+    relaxation: tuple[Relaxation, ...] = field(
+        "parts",
+        "Parts of the stress that fade while a strain is held, {time, share} each; `young` is that before any has",
+        default=(),
+        low=0,
+        high=8,
+        part=Relaxation,
+    )
+    relaxes: Literal["deviator", "stress"] = field(
+        "choice",
+        "What `relaxation` has shares of: the stress without its pressure, as where volume is kept; or all of it",
+        default="deviator",
+        choices=("deviator", "stress"),
+    )
+
+    def check(self, prefix: str) -> None:
+        shares = [term.share for term in self.relaxation]
+        if sum(shares) >= 1.0:
+            where, given = f"{prefix}relaxation", f"shares of {sum(shares):g} together"
+            raise SceneError(where, given, "shares of less than 1 together: the rest is what stays")
 
 
 @dataclasses.dataclass(frozen=True)
