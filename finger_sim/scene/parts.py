@@ -17,6 +17,7 @@ from .fields import field, to_dict
 from .pose import Vec3
 
 Limit3 = tuple[float | None, float | None, float | None]
+MOST_POISSON = 0.4999
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +73,7 @@ class Material:
 
     density: float = field("float", "Mass density", default=1000.0, unit="kg/m^3", low=1.0, high=1e5)
     young: float = field("float", "Young's modulus E", default=2.0e6, unit="Pa", low=1.0, high=1e12)
-    poisson: float = field("float", "Poisson's ratio ν", default=0.4, low=-0.9, high=0.4999)
+    poisson: float = field("float", "Poisson's ratio ν", default=0.4, low=-0.9, high=MOST_POISSON)
     damping: Damping = field("part", "Rayleigh damping", default=Damping(), part=Damping)
     volumetric: Literal["element", "patch"] = field(
         "choice",
@@ -100,6 +101,21 @@ class Material:
         if sum(shares) >= 1.0:
             where, given = f"{prefix}relaxation", f"shares of {sum(shares):g} together"
             raise SceneError(where, given, "shares of less than 1 together: the rest is what stays")
+
+    @property
+    def lasting(self) -> Material:
+        """The same once all that relaxes has faded: what a strain that is held for ever feels.
+
+        ν is the largest that a scene may have where it would be larger still.
+        """
+        if not self.relaxation:
+            return self
+        left = 1.0 - sum(term.share for term in self.relaxation)
+        shear = left * self.young / (2.0 * (1.0 + self.poisson))
+        bulk = (left if self.relaxes == "stress" else 1.0) * self.young / (3.0 * (1.0 - 2.0 * self.poisson))
+        poisson = min((3.0 * bulk - 2.0 * shear) / (2.0 * (3.0 * bulk + shear)), MOST_POISSON)
+        young = 2.0 * (1.0 + poisson) * shear
+        return dataclasses.replace(self, young=young, poisson=poisson, relaxation=())
 
 
 @dataclasses.dataclass(frozen=True)
