@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 
 from ..bags.changes import changes_in
@@ -209,18 +210,17 @@ def _memory(scene: Scene, mesh: TetMesh) -> int:
     from ..simulation.build import build_model
 
     model = build_model(scene, mesh)
-    return _bytes(model) + _bytes(build_state(model, mesh.points))
+    arrays = _arrays((model, build_state(model, mesh.points)))
+    return sum({id(array): array.nbytes for array in arrays}.values())
 
 
-def _bytes(record: NamedTuple) -> int:
-    """Bytes of the arrays in a record and the records within."""
-    size = 0
+def _arrays(record: Iterable[Any]) -> Iterator[NDArray[Any]]:
+    """The arrays in a record and the records within; one that has two names comes twice."""
     for value in record:
         if isinstance(value, np.ndarray):
-            size += value.nbytes
-        elif isinstance(value, tuple) and hasattr(value, "_fields"):
-            size += _bytes(value)  # type: ignore[arg-type]
-    return size
+            yield value
+        elif isinstance(value, tuple):
+            yield from _arrays(value)
 
 
 def _limits(limits: Limits | None) -> str:
