@@ -244,6 +244,43 @@ class Body:
             K[np.ix_(nodes, nodes)] += viscosity * force * r @ r.T
         return np.kron(K, np.eye(3))
 
+    def resistance(self, x: Array, limits: Any, young: float) -> Array:
+        """What passed `tensor` limits resist the turning of their eigenvectors with, (3n, 3n) [N/m].
+
+        For each two eigenvalues p > q of A⁺EA⁺ and −A⁻EA⁻ of one tetrahedron, with what its patch makes of E:
+        2 (f_p − f_q) / (p − q) g gᵀ, f = κ E V |Aq|⁻⁴ (λ − c), 0 below, p − q ≥ 0.1, g = ∂(a_pᵀ E a_q)/∂x, a = Aq.
+        c is 0.95, or nearer to 1 where κ E (1 − c) would be more than 15 μ.
+        """
+        K = np.zeros((3 * len(self.points),) * 2)
+        if limits is None or limits.projection != "tensor" or limits.stiffness is None:
+            return K
+        patched = len(np.unique(self.patch)) < len(self.tets)
+        ahead = min(0.05, 15.0 * self.lame_mu / (limits.stiffness * young))
+        own, bounded = self.deformation(x), self.bounded(x)
+        for t, nodes in enumerate(self.tets):
+            E = polar_strain(bounded[t])[0]
+            _, V, s = polar_strain(own[t])
+            index = (3 * nodes[:, None] + np.arange(3)).ravel()
+            for sign, bounds in ((1.0, limits.stretch), (-1.0, limits.compress)):
+                if all(bound is None for bound in bounds):
+                    continue
+                A = np.diag([0.0 if bound is None else abs(bound - 1.0) ** -0.5 for bound in bounds])
+                values, vectors = np.linalg.eigh(sign * A @ E @ A)
+                for i, j in itertools.combinations(range(3), 2):
+                    a, b = A @ vectors[:, i], A @ vectors[:, j]
+                    forces = [
+                        max(values[k] - 1.0 + ahead, 0.0) / float(y @ y) ** 2 if y @ y > 0.0 else 0.0
+                        for k, y in ((i, a), (j, b))
+                    ]
+                    weight = 2.0 * max(forces[1] - forces[0], 0.0) / max(values[j] - values[i], 0.1)
+                    dE = _strain_slopes(own[t], V, s)
+                    slope = np.einsum("i,ijkl,j->kl", a, dE, b)
+                    if patched:
+                        slope -= (a @ b) / 3.0 * np.einsum("iikl->kl", dE)
+                    g = (self.gradients[t] @ slope.T).ravel()
+                    K[np.ix_(index, index)] += limits.stiffness * young * self.volume[t] * weight * np.outer(g, g)
+        return K
+
     def system(
         self,
         x: Array,
@@ -253,6 +290,7 @@ class Body:
         v_driven: Array | None = None,
         limit_force: Array | None = None,
         viscosity: float = 0.0,
+        resistance: Array | float = 0.0,
         past: Past | None = None,
     ) -> System:
         """A v = b of backward Euler for the free nodes, the driven ones' velocities on the right."""
@@ -261,6 +299,7 @@ class Body:
         A = (1.0 + h * self.alpha) * np.diag(m) + h * (h + self.beta) * K
         if limit_force is not None:
             A += h * h * self.turning(limit_force, viscosity)
+        A += h * h * resistance
         b = m * v.ravel() + h * (m * np.tile(self.gravity, len(self.points)) + self.forces(x, None, past, h).ravel())
         is_free = np.ones(len(self.points), bool)
         is_free[list(driven)] = False
@@ -355,6 +394,16 @@ def polar_strain(F: Array) -> tuple[Array, Array, Array]:
     return (V * (s - 1.0)) @ V.T, V, s
 
 
+def _strain_slopes(F: Array, V: Array, s: Array) -> Array:
+    """∂E_ij/∂F_kl: U dU + dU U = d(FᵀF), solved in the eigenvectors V of U."""
+    slopes = np.zeros((3, 3, 3, 3))
+    for k, l in itertools.product(range(3), range(3)):
+        dF = np.zeros((3, 3))
+        dF[k, l] = 1.0
+        slopes[:, :, k, l] = V @ ((V.T @ (dF.T @ F + F.T @ dF) @ V) / (s[:, None] + s[None, :])) @ V.T
+    return slopes
+
+
 def tensor_rows(
     F: Array, limits: Any, near: float = np.inf, coincide: float = 0.0
 ) -> list[tuple[float, Array, float, float]]:
@@ -365,7 +414,7 @@ def tensor_rows(
     dλ = yᵀ dU y, and U dU + dU U = d(FᵀF) is solved in the eigenvectors of U.
     """
     E, V, s = polar_strain(F)
-    rows = []
+    slopes, rows = _strain_slopes(F, V, s), []
     for sign, bounds in ((1.0, limits.stretch), (-1.0, limits.compress)):
         if all(bound is None for bound in bounds):
             continue
@@ -379,12 +428,7 @@ def tensor_rows(
                 directions += [((vectors[:, a] + side * vectors[:, b]) / np.sqrt(2.0), share) for side in (1.0, -1.0)]
         for q, share in directions:
             y = A @ q
-            gradient = np.zeros((3, 3))
-            for k, l in itertools.product(range(3), range(3)):
-                dF = np.zeros((3, 3))
-                dF[k, l] = 1.0
-                dU = V @ ((V.T @ (dF.T @ F + F.T @ dF) @ V) / (s[:, None] + s[None, :])) @ V.T
-                gradient[k, l] = -sign * (y @ dU @ y)
+            gradient = -sign * np.einsum("i,ijkl,j->kl", y, slopes, y)
             rows.append((float(1.0 - q @ B @ q), gradient, float(y @ y), share))
     return rows
 

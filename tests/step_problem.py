@@ -18,7 +18,7 @@ clarabel = pytest.importorskip("clarabel")
 
 SOLVER_GAP = 0.03
 """Least |s_i² − s_k²| in a gradient."""
-NEAR, COINCIDE = 0.85, 0.1
+NEAR, COINCIDE = 0.85, 0.3
 """`tensor`: two strains of more than the first part of their limit, no further apart than the second, hold like one."""
 CONTACT_MARGIN, MARGIN, RIGID_MARGIN = 0.03, 0.05, 0.15
 """A row is in the problem within so much of its room: of a contact, of a limit that gives, of one that does not."""
@@ -83,7 +83,8 @@ def stepped(sim: Simulator, command: Pose | None, well: bool = True) -> Problem:
     assert healthy(out) or not well
     v_driven = (sim.positions[driven] - x[driven]) / h
     viscosity = scene.limits.viscosity if scene.limits else 0.0
-    system = body.system(x, v, h, driven, v_driven, limit_force, viscosity)
+    resistance = body.resistance(x, scene.limits, scene.material.young)
+    system = body.system(x, v, h, driven, v_driven, limit_force, viscosity, resistance)
     if scene.solver.method == "pgs":
         ahead = system.whole(np.linalg.solve(system.A, system.b)).ravel()
     else:

@@ -71,7 +71,7 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
         state.work[MATRICES] += 1
         if model.method == NEWTON:
             copy8(state.turned, state.quaternion, 4)
-    if model.patches.volume.shape[0] > 0 and model.projection == TENSOR and model.limit_compliance > 0.0:
+    if model.projection == TENSOR and model.limit_compliance > 0.0:
         if anew:
             add_turning(model, state, h)
         resist_driven(model, state)

@@ -17,7 +17,7 @@ Vector = tuple[Lanes, Lanes, Lanes]
 
 _SWEEPS = 12  # 3 to 5 in practice
 _ROUND_OFF = 1e-24  # off-diagonal part squared, of the diagonal's, that ends them: eigenvectors are good to 1e-12
-_ROUND_OFF_WARM = 1e-20  # the same of a step's, of eigenvalues near 1: eigenvectors are good to 1e-10
+_EXACT, _CLOSE = 1e-20, 1e-12  # the same of `eigen_from`, of eigenvalues near 1: eigenvectors are good to 1e-10, 1e-6
 _LEAST = 1e-150  # in place of 0 below a fraction whose numerator is 0 too; its square is a number still
 _ORTHOGONAL = 1e-15  # cosine of the angle between two columns that counts as 0
 
@@ -101,7 +101,7 @@ def eigen(B: Symmetric) -> tuple[Vector, Vector, Vector, Vector]:
 
 
 @formula
-def eigen_from(B: Symmetric, frames: Floats, k: int) -> Vector:
+def eigen_from(B: Symmetric, frames: Floats, k: int, exact: bool) -> Vector:
     """Eigenvalues and eigenvectors of eight B into entry k of `frames` (…, 12, 8), and the eigenvalues.
 
     It begins with the eigenvectors that are there, of a B that was similar: one or two sweeps are left.
@@ -123,7 +123,7 @@ def eigen_from(B: Symmetric, frames: Floats, k: int) -> Vector:
         u0 * p0 + u1 * p1 + u2 * p2, v0 * q0 + v1 * q1 + v2 * q2, w0 * r0 + w1 * r1 + w2 * r2,
         v0 * r0 + v1 * r1 + v2 * r2, u0 * r0 + u1 * r1 + u2 * r2, u0 * q0 + u1 * q1 + u2 * q2,
     )  # fmt: skip
-    values, u, v, w = _sweeps(turned, (u0, u1, u2), (v0, v1, v2), (w0, w1, w2), _ROUND_OFF_WARM, 1.0)
+    values, u, v, w = _sweeps(turned, (u0, u1, u2), (v0, v1, v2), (w0, w1, w2), _EXACT if exact else _CLOSE, 1.0)
     store_vector(frames, k, 0, values)
     store_vector(frames, k, 3, u)
     store_vector(frames, k, 6, v)

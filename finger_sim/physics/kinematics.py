@@ -13,6 +13,12 @@ from .polar import Matrix, polar, store_matrix
 @kernel
 def kinematics(model: Model, state: State) -> None:
     """R and Biot strain E of every tetrahedron at the state's positions: state.R, E, quaternion."""
+    strains_at(model, state, True)
+
+
+@stage
+def strains_at(model: Model, state: State, exact: bool) -> None:
+    """The same; exact: to round-off."""
     scratch = state.principal.turn.reshape(-1)[:32].reshape((2, 4, 4))
     x, r, nodes = state.x, model.lane_gradients, model.lane_node
     rotations, strains, quaternion = state.R, state.E, state.quaternion
@@ -22,7 +28,7 @@ def kinematics(model: Model, state: State) -> None:
         f0, f1, f2, f3, f4, f5, f6, f7, f8 = F
         det = f0 * (f4 * f8 - f5 * f7) + f1 * (f5 * f6 - f3 * f8) + f2 * (f3 * f7 - f4 * f6)
         inverted += bits(det < 0.0) != 0
-        R, U = polar(F, quaternion, b, scratch)
+        R, U = polar(F, quaternion, b, scratch, exact)
         store_matrix(rotations, b, R)
         u00, u01, u02, u10, u11, u12, u20, u21, u22 = U
         store8(strains, b, 0, u00 - 1.0)

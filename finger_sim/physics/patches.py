@@ -58,21 +58,33 @@ def partition(tets: Ints, is_free: Flags) -> Partition:
 
 
 def _patches(tets: Ints, is_free: Flags) -> Ints:
-    """Patch of each tetrahedron: again and again that with the least share of free nodes is joined to a neighbour."""
+    """Patch of each tetrahedron: again and again that with the least share of free nodes is joined to a neighbour.
+
+    A share only grows as others join. So one that has waited is looked at anew when it comes up, and not before.
+    """
     joining = _Joining(tets, is_free)
-    waiting = [(share, patch) for patch, share in joining.share.items()]
+    waiting = [(joining.share(patch), patch) for patch in joining.members]
     heapq.heapify(waiting)
+    alone: set[int] = set()  # could join none, as they were
     while waiting:
-        share, patch = heapq.heappop(waiting)
-        if joining.share.get(patch) != share:
-            continue  # it has changed since
+        before, patch = heapq.heappop(waiting)
+        if patch not in joining.members:
+            continue
+        share = joining.share(patch)
+        if share != before:
+            heapq.heappush(waiting, (share, patch))
+            continue
         if share >= WANTED:
             break
         other = joining.partner(patch, USUAL)
         other = joining.partner(patch, MOST) if other is None else other
-        if other is not None:
-            for changed in joining.join(patch, other):
-                heapq.heappush(waiting, (joining.share[changed], changed))
+        if other is None:
+            alone.add(patch)
+            continue
+        touched = joining.join(patch, other)
+        for again in (alone & touched) | {patch}:
+            heapq.heappush(waiting, (joining.share(again), again))
+        alone -= touched | {other}
     return np.asarray(np.unique(joining.patch, return_inverse=True)[1], np.int64)
 
 
@@ -96,7 +108,6 @@ class _Joining:
         for t, nodes in self.nodes.items():
             for node in nodes:
                 self.at.setdefault(node, set()).add(t)
-        self.share = {t: self._share(t) for t in own}
 
     def partner(self, patch: int, most: int) -> int | None:
         """The neighbour to join, with at most so many tetrahedra together: most of the patch's nodes, as that fills the
@@ -105,15 +116,14 @@ class _Joining:
 
         def cost(other: int) -> tuple[int, int, float, int]:
             theirs = self.nodes[other]
-            return len(mine - theirs), max(0, FEW - len(mine | theirs)), self.share[other], other
+            return len(mine - theirs), max(0, FEW - len(mine | theirs)), self.share(other), other
 
         return min((each for each in self.beside[patch] if len(self.members[each]) <= room), key=cost, default=None)
 
     def join(self, patch: int, other: int) -> set[int]:
-        """One patch of the two, under the first's number; the patches whose share this changed."""
+        """One patch of the two, under the first's number; the patches whose shares this changed."""
         self.patch[self.members[other]] = patch
         self.members[patch] += self.members.pop(other)
-        del self.share[other]
         touched = {patch}
         for node in self.nodes[other]:
             self.at[node].remove(other)
@@ -125,11 +135,10 @@ class _Joining:
             if third != patch:
                 self.beside[third].add(patch)
                 self.beside[patch].add(third)
-        for changed in touched:
-            self.share[changed] = self._share(changed)
         return touched
 
-    def _share(self, patch: int) -> float:
+    def share(self, patch: int) -> float:
+        """Free nodes that a patch has, each shared out evenly."""
         return math.fsum(1.0 / len(self.at[node]) for node in self.nodes[patch])
 
 

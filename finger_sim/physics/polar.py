@@ -22,7 +22,10 @@ Matrix = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]  #
 Quaternion = tuple[Lanes, Lanes, Lanes, Lanes]  # x y z w, at length one
 
 _ITERATIONS = 6
-_CLOSE = 1e-10  # |w|² after which the error, of order |w|³, is round-off
+_EXACT, _CLOSE = (
+    1e-10,
+    4e-6,
+)  # angle² of the last iteration: the error after it is of order angle³, 1e-15 and 4e-9 rad
 
 
 rotation = matrix_entries
@@ -66,15 +69,15 @@ def store_matrix(a: Floats, b: int, A: Matrix) -> None:
 
 
 @stage
-def polar(F: Matrix, quaternion: Floats, b: int, scratch: Floats) -> tuple[Matrix, Matrix]:
+def polar(F: Matrix, quaternion: Floats, b: int, scratch: Floats, exact: bool) -> tuple[Matrix, Matrix]:
     """R and RᵀF of F, from the quaternions in entry b of `quaternion` (B, 4, 8), which are brought up to date.
 
-    scratch (2, 4, 4).
+    scratch (2, 4, 4). exact: to round-off.
     """
     q = load8(quaternion, b, 0), load8(quaternion, b, 1), load8(quaternion, b, 2), load8(quaternion, b, 3)
     undone = 0
     for _ in range(_ITERATIONS):
-        q, lost, far = newton(F, q)
+        q, lost, far = newton(F, q, _EXACT if exact else _CLOSE)
         undone = lost | far
         if far == 0:
             break
@@ -95,7 +98,7 @@ def polar(F: Matrix, quaternion: Floats, b: int, scratch: Floats) -> tuple[Matri
 
 
 @formula
-def newton(F: Matrix, q: Quaternion) -> tuple[Quaternion, int, int]:
+def newton(F: Matrix, q: Quaternion, close: float) -> tuple[Quaternion, int, int]:
     """One iteration. Also which lanes have no maximum near (they stay), and which moved too far to be done."""
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = transposed_times(rotation(q), F)
     a0, a1, a2 = m7 - m5, m2 - m6, m3 - m1
@@ -119,7 +122,7 @@ def newton(F: Matrix, q: Quaternion) -> tuple[Quaternion, int, int]:
     nx, ny, nz = x + w * w0 + y * w2 - z * w1, y + w * w1 + z * w0 - x * w2, z + w * w2 + x * w1 - y * w0
     nw = w - x * w0 - y * w1 - z * w2
     scale = 1.0 / sqrt(nx * nx + ny * ny + nz * nz + nw * nw)
-    return (nx * scale, ny * scale, nz * scale, nw * scale), 255 - bits(found), bits(found & (size > 0.25 * _CLOSE))
+    return (nx * scale, ny * scale, nz * scale, nw * scale), 255 - bits(found), bits(found & (size > 0.25 * close))
 
 
 @stage

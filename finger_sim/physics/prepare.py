@@ -58,6 +58,14 @@ class Tissue(NamedTuple):
         """μ [Pa]."""
         return self.young / (2.0 * (1.0 + self.poisson))
 
+    @property
+    def lasting_poisson(self) -> float:
+        """ν once all that relaxes has faded."""
+        if not self.relaxation or self.relaxes_pressure:
+            return self.poisson
+        bulk, shear = 3.0 * self.bulk, self.shear * (1.0 - sum(share for _, share in self.relaxation))
+        return (bulk - 2.0 * shear) / (2.0 * (bulk + shear))
+
 
 class Strains(NamedTuple):
     """Limits on strain along the material axes."""
@@ -167,7 +175,7 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         least_force=_least_force(tissue.shear, setting.gravity, mass, length),
         damping_mass=tissue.damping_mass,
         damping_stiffness=tissue.damping_stiffness,
-        **_limits(strains, poisson),
+        **_limits(strains, tissue.lasting_poisson),
         **setting._asdict(),
         has_bone=has_bone,
         rest_driven=body.points[driven] if has_bone else np.zeros((0, 3)),

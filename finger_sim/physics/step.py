@@ -9,11 +9,11 @@ from ..arrays import Floats
 from . import apart
 from .bone import aim_bone, move_bone, place_driven
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
-from .compile import kernel, stage
+from .compile import formula, kernel, stage
 from .contact import contact_rows, deepest, store_contact
 from .elasticity import assemble, limits_changed
 from .hessian import factor_elastic
-from .kinematics import kinematics, turned_far
+from .kinematics import strains_at, turned_far
 from .lanes import load4, store4, sum3
 from .linear_solver import solve
 from .methods import NEWTON, NONE, PGS, TENSOR
@@ -21,7 +21,7 @@ from .model import Model, State
 from .newton import newton
 from .observed import observe_limits
 from .relaxation import BEGIN, END, MOVED
-from .strain_limits import find_bounded
+from .strain_limits import bounded_at
 from .tensor_rows import pack_rows, tensor_rows
 from .vectors import add, copy, copy_first
 from .work import CONTACT_ROWS, LIMITS, LINEAR
@@ -143,7 +143,7 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
     lap(state.laps, state.time, KINEMATICS)
     state.age[0] += 1
     if model.projection != NONE:
-        find_bounded(model, state)
+        bounded_at(model, state, held_still(model, state))
     lap(state.laps, state.time, ROWS)
     state.result[SPEED] = fastest
     observe(model, state, contacts, rows)
@@ -208,7 +208,7 @@ def relinearise(model: Model, state: State, targets: Floats, h: float, again: in
     integrate(model, state, targets, h)
     deform(model, state)
     if model.projection != NONE:
-        find_bounded(model, state)
+        bounded_at(model, state, held_still(model, state))
 
 
 @stage
@@ -222,16 +222,23 @@ def put_back(model: Model, state: State) -> None:
             state.bone[7 + i] = state.bone[i]
     deform(model, state)
     if model.projection != NONE:
-        find_bounded(model, state)
+        bounded_at(model, state, held_still(model, state))
     state.age[0] = 0
 
 
 @stage
 def deform(model: Model, state: State) -> None:
     """R and E of every tetrahedron at the state's positions; U, s, V for limits on principal stretches."""
-    kinematics(model, state)
+    strains_at(model, state, held_still(model, state))
     if state.principal.F.shape[0] > 0:
         apart.decompose(model, state)
+
+
+@formula
+def held_still(model: Model, state: State) -> bool:
+    """Whether the body may come to rest: what is left of its rotations and eigenvectors would keep it moving."""
+    still: bool = state.held[0] > 0.0 or model.driven.shape[0] == 0
+    return still
 
 
 @stage

@@ -205,10 +205,16 @@ def gradient(
 
 @kernel
 def find_bounded(model: Model, state: State) -> None:
+    """`bounded_at`, exactly."""
+    bounded_at(model, state, True)
+
+
+@stage
+def bounded_at(model: Model, state: State, exact: bool) -> None:
     """What limits bound at the state's kinematics, where that is more than these: for `tensor` what may be at a limit,
-    with patches their volume strain in Ē and s̄."""
+    with patches their volume strain in Ē and s̄. exact: to round-off."""
     if model.projection == TENSOR:
-        find_near(model, state)
+        find_near(model, state, exact)
     elif state.principal.s.shape[0] > 0 and model.patches.volume.shape[0] > 0:
         mean_strains(model, state)
         bounded, s, own, mean = state.principal.bounded, state.principal.s, state.E, state.limit_strain

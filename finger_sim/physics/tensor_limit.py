@@ -143,7 +143,7 @@ def evaluate_tensor(F: Floats, factors: Floats, C: Floats, dC_dF: Floats) -> Non
     """1 − λ and its gradient, of all three eigenvalues on both sides: C (2, 3), dC_dF (2, 3, 3, 3) out; F (9, 8)."""
     quaternion = np.zeros((1, 4, 8))
     quaternion[0, 3] = 1.0
-    R, U = polar(load_matrix(F.reshape((1, 9, 8)), 0), quaternion, 0, np.zeros((2, 4, 4)))
+    R, U = polar(load_matrix(F.reshape((1, 9, 8)), 0), quaternion, 0, np.zeros((2, 4, 4)), True)
     u0, u1, u2, u3, u4, u5, u6, u7, u8 = U
     E = (u0 - 1.0, u4 - 1.0, u8 - 1.0, 0.5 * (u5 + u7), 0.5 * (u2 + u6), 0.5 * (u1 + u3))
     spin = spin_of(E)
@@ -174,11 +174,11 @@ def pairs_of(model: Model, b: int, side: int) -> tuple[int, float]:
     return (2 * b, 1.0 - 2.0 * side) if model.mirrored else (2 * b + side, 1.0)
 
 
-@kernel
-def find_near(model: Model, state: State) -> None:
+@stage
+def find_near(model: Model, state: State, exact: bool) -> None:
     """What may be at a limit at the state's positions or a step later, into `near`; its eigenpairs into `frames`.
 
-    Eight tetrahedra are decomposed where one of them is near.
+    Eight tetrahedra are decomposed where one of them is near. exact: see jacobi.eigen_from.
     """
     if model.patches.volume.shape[0] > 0:
         mean_strains(model, state)
@@ -199,7 +199,7 @@ def find_near(model: Model, state: State) -> None:
                 continue
             decomposed = True
             entry, _ = pairs_of(model, b, side)
-            p, q, r = eigen_from(scaled(E, factors, entry - 2 * b), frames, entry)
+            p, q, r = eigen_from(scaled(E, factors, entry - 2 * b), frames, entry, exact)
             if model.mirrored:
                 p, q, r = absolute(p), absolute(q), absolute(r)
             top = maximum(top, where(real, maximum(maximum(p, q), r), zero))

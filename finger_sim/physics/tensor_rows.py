@@ -35,15 +35,17 @@ from .model import Model, State, Tensor
 from .polar import Matrix, transposed_times
 from .tensor_limit import NEAR, at_node, leaning, less, pairs_of, spin_of, square, times, turned
 
-CONSTANT, STIFFNESS, SQUARE = range(3)  # of a row, in Tensor.row: g at δ = 0, 1 / ε, (nodal force)² per unit of λ²
+# Of a row, in Tensor.row: g at δ = 0, 1 / ε, (nodal force)² per unit of λ², what its patch gets counted apart.
+CONSTANT, STIFFNESS, SQUARE = range(3)
 # Directions of rows: the eigenvectors, then those halfway between two of them, on either side.
 DIRECTIONS, MOST_DIRECTIONS = 3, 9
 _FIRST, _SECOND = (0, 1, 2, 0, 0, 0, 0, 1, 1), (0, 1, 2, 1, 1, 2, 2, 2, 2)
 _SIGN = (1.0, 1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0)
 _WORTH = 0.5  # eigenvalues below are not looked at any closer
 # Strain/limit that two eigenvalues near their limit may differ by to be taken as one. More makes rows that hold
-# nothing; less lets strain through where the eigenvectors turn by more in a step.
-_COINCIDE = 0.1
+# nothing; less lets strain through where the eigenvectors turn by more in a step, and where both are passed their force
+# comes and goes within one: at 0.1 single tetrahedra of a sliding finger trembled.
+_COINCIDE = 0.3
 _NO_GRADIENT = 1e-20  # |J|² at free nodes, in units of the tetrahedra's size, of a row that nothing can move
 
 
@@ -87,24 +89,20 @@ def rows_of_four(model: Model, state: State, h: float, b: int, half: int, groups
     swelling = size_G = moved_G = none
     own = model.patches
     patched, inert = own.volume.shape[0] > 0, model.limit_inertia > 0.0
-    along_G = moved_along_G = (none, none, none, none, none, none, none, none, none)
+    moved_along_G = (none, none, none, none, none, none, none, none, none)
     if patched:
         swelling = pick4(state.patch_rate, own.lane, b, half) - (rate[0] + rate[4] + rate[8])
         size_G = pick4(state.patch_size[0], own.lane, b, half)
-        along_G = patch_at_nodes(model, state, b, half, False)
         if inert:
             moved_G = pick4(state.patch_size[1], own.lane, b, half)
-            moved_along_G = patch_at_nodes(model, state, b, half, True)
+            moved_along_G = patch_at_masses(model, state, b, half)
     for side in range(2):
         near = load4(tensor.near, b, 2 * side + half) > 0.0
         if bits(near) == 0:
             continue
         entry, sign = pairs_of(model, b, side)
         outwards, part = 2.0 * side - 1.0, (2.0 * side - 1.0) * (1.0 / 3.0)
-        p = sign * load4(frames, entry, half) > NEAR
-        q = sign * load4(frames, entry, 2 + half) > NEAR
-        r = sign * load4(frames, entry, 4 + half) > NEAR
-        between = bits(near & ((p & q) | (p & r) | (q & r))) != 0
+        between = bits(near & _coincide(frames, entry, half, sign)) != 0
         for d in range(MOST_DIRECTIONS if between else DIRECTIONS):
             value, share, axis = _direction(frames, entry, half, sign, d)
             worth = near & (value > _WORTH) if d < DIRECTIONS else near & (share > 0.0)
@@ -123,8 +121,7 @@ def rows_of_four(model: Model, state: State, h: float, b: int, half: int, groups
             if patched:
                 slope = less(slope, R, size * (1.0 / 3.0))
             slope = _scaled(slope, outwards * room)
-            force = squared(slope, model.lane_metric, b, 0, half) + (2.0 * part) * double_dot(slope, along_G)
-            force = force + (part * part) * size_G
+            force = squared(slope, model.lane_metric, b, 0, half) + (part * part) * size_G
             stiffness = share * volume * (1.0 / model.limit_compliance)
             if inert:
                 moved = squared(slope, model.lane_metric, b, 6, half) + (2.0 * part) * double_dot(slope, moved_along_G)
@@ -141,16 +138,15 @@ def rows_of_four(model: Model, state: State, h: float, b: int, half: int, groups
 
 
 @stage
-def patch_at_nodes(model: Model, state: State, b: int, half: int, moved: bool) -> Matrix:
-    """Σ G_n r_nᵀ over the free nodes of half of batch b; moved: over their masses."""
+def patch_at_masses(model: Model, state: State, b: int, half: int) -> Matrix:
+    """Σ G_n r_nᵀ / m_n over the nodes of half of batch b."""
     none, own = splat4(0.0), model.patches
     total = (none, none, none, none, none, none, none, none, none)
     for n in range(4):
         x, y, z = gather3x4(state.G, own.lane_entry, b, 2 * n + half)
         mobile = load4(model.lane_mobility, b, 2 * n + half)
-        weight = mobile if moved else where(mobile > 0.0, splat4(1.0), none)
         p, q, r = gradient_of(model.lane_gradients, b, n, half)
-        p, q, r = p * weight, q * weight, r * weight
+        p, q, r = p * mobile, q * mobile, r * mobile
         t0, t1, t2, t3, t4, t5, t6, t7, t8 = total
         total = (
             t0 + x * p, t1 + x * q, t2 + x * r, t3 + y * p, t4 + y * q, t5 + y * r, t6 + z * p, t7 + z * q, t8 + z * r
@@ -232,6 +228,16 @@ def rate_of(velocities: Floats, nodes: Ints, gradients: Floats, b: int, half: in
         (x2 - x4, y2 - y4, z2 - z4), gradient_of(gradients, b, 1, half),
         (x3 - x4, y3 - y4, z3 - z4), gradient_of(gradients, b, 2, half),
     )  # fmt: skip
+
+
+@formula
+def _coincide(frames: Floats, entry: int, half: int, sign: float) -> Lanes:
+    """Whether two eigenvalues are near their limit and each other."""
+    p, q = sign * load4(frames, entry, half), sign * load4(frames, entry, 2 + half)
+    r = sign * load4(frames, entry, 4 + half)
+    two = (p > NEAR) & (q > NEAR) & (absolute(p - q) < _COINCIDE)
+    two = two | ((p > NEAR) & (r > NEAR) & (absolute(p - r) < _COINCIDE))
+    return two | ((q > NEAR) & (r > NEAR) & (absolute(q - r) < _COINCIDE))
 
 
 @formula

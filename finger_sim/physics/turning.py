@@ -4,9 +4,9 @@ A `tensor` limit that is passed holds with the energy ½ κ E V a² (λ_i − 1)
 
     ∂²λ_i = 2 Σ_{j ≠ i} g_ij g_ijᵀ / (λ_i − λ_j),    g_ij = ∂(q_iᵀ A E A q_j)/∂x, q fixed,
 
-an eigenvector between two unequal limits resists turning; a row has ∂λ_i ∂λ_iᵀ only. A step that leaves the rest out
-overshoots, and so does the next one, for ever: where patches let a tetrahedron stretch along two axes at once, two
-limits are passed together, and the eigenvectors between them turn most easily. For each two, A has
+the eigenvector of a limit that is passed resists turning; a row has ∂λ_i ∂λ_iᵀ only. A step that leaves the rest out
+overshoots, and so does the next one, for ever: a finger that is pressed hard trembled at half the rate of the steps.
+Rooms that differ much make it worse, as A then magnifies g. For each two eigenvalues, however far apart, A has
 
     2 (f_i − f_j) / (λ_i − λ_j) g_ij g_ijᵀ,    f = κ E V a² max(0, λ − 1).
 
@@ -25,8 +25,9 @@ from .tensor_limit import at_node, less, pairs_of, spin_of, times, turned
 
 _FIRST, _SECOND = (0, 0, 1), (1, 2, 2)
 _APART = 0.1  # of λ_i − λ_j at least: nearer ones have rows between them (tensor_limit.py)
-_BOTH = 0.5  # strain/limit of both, at least: others stand so far apart that they turn little
-_PASSED = 0.95  # strain/limit from which on one counts as passed: it may be so within the step
+# A limit counts as passed so much of its room before it is, as it may be so within the step; or, if that is less, what
+# gives a stress of so many shear moduli. Of a limit that is all but rigid the first would be a huge force.
+_AHEAD, _MODULI = 0.05, 15.0
 
 
 @stage
@@ -36,6 +37,8 @@ def add_turning(model: Model, state: State, h: float) -> None:
     near, frames, lane_J, factors = tensor.near, tensor.frames, tensor.lane_J, model.limit_factors
     tensor.turning_count[0] = 0
     stiffness = h * h / model.limit_compliance
+    passed = 1.0 - min(_AHEAD, _MODULI * model.lame_mu * model.limit_compliance)
+    trace = 1.0 / 3.0 if model.patches.volume.shape[0] > 0 else 0.0
     for k in range(2 * near.shape[0]):
         b, side = k // 2, k % 2
         at_limit = load8(near, b, side) > 0.0
@@ -45,14 +48,14 @@ def add_turning(model: Model, state: State, h: float) -> None:
         for d in range(3):
             i, j = _FIRST[d], _SECOND[d]
             p, q = sign * load8(frames, entry, i), sign * load8(frames, entry, j)
-            if bits(at_limit & (maximum(p, q) > _PASSED) & (p > _BOTH) & (q > _BOTH)) == 0:
+            if bits(at_limit & (maximum(p, q) > passed)) == 0:
                 continue
             a, c = _scaled(frames, entry, i, factors, side), _scaled(frames, entry, j, factors, side)
-            weight = _resistance(p, q, a, c)
-            found = bits(at_limit & (weight > 0.0) & (p > _BOTH) & (q > _BOTH))
+            weight = _resistance(p, q, a, c, passed)
+            found = bits(at_limit & (weight > 0.0))
             if found == 0:
                 continue
-            slope = _slope(load_matrix(state.R, b), load_symmetric(state.E, b), a, c)
+            slope = _slope(load_matrix(state.R, b), load_symmetric(state.E, b), a, c, trace)
             for n in range(4):
                 x, y, z = at_node(slope, load_vector(model.lane_gradients, b, 3 * n))
                 scatter3(lane_J, 0, n, x, y, z)
@@ -73,21 +76,21 @@ def _scaled(frames: Floats, entry: int, i: int, factors: Floats, side: int) -> V
 
 
 @formula
-def _resistance(p: Lanes, q: Lanes, a: Vector, b: Vector) -> Lanes:
+def _resistance(p: Lanes, q: Lanes, a: Vector, b: Vector, passed: float) -> Lanes:
     """2 (f_i − f_j) / (λ_i − λ_j) in units of κ E V, of eigenvalues p, q and vectors a, b; 0 where it is negative."""
     a0, a1, a2 = a
     b0, b1, b2 = b
     none, one = splat8(0.0), splat8(1.0)
     size_a, size_b = a0 * a0 + a1 * a1 + a2 * a2, b0 * b0 + b1 * b1 + b2 * b2
     room_a, room_b = where(size_a > 0.0, one / size_a, none), where(size_b > 0.0, one / size_b, none)
-    more = room_a * room_a * maximum(p - _PASSED, none) - room_b * room_b * maximum(q - _PASSED, none)
+    more = room_a * room_a * maximum(p - passed, none) - room_b * room_b * maximum(q - passed, none)
     more = where(p > q, more, none - more)
     return 2.0 * maximum(more, none) / maximum(absolute(p - q), splat8(_APART))
 
 
 @formula
-def _slope(R: Matrix, E: Symmetric, a: Vector, b: Vector) -> Matrix:
-    """∂(aᵀ E b)/∂F without its trace."""
+def _slope(R: Matrix, E: Symmetric, a: Vector, b: Vector, trace: float) -> Matrix:
+    """∂(aᵀ E b)/∂F, without so much of its trace: a third where it is that of the patch."""
     a0, a1, a2 = a
     b0, b1, b2 = b
     p0, p1, p2 = times(E, a)
@@ -99,7 +102,7 @@ def _slope(R: Matrix, E: Symmetric, a: Vector, b: Vector) -> Matrix:
     )
     s0, s1, s2 = a0 * b0, a1 * b1, a2 * b2
     S = (s0, s1, s2, 0.5 * (a1 * b2 + a2 * b1), 0.5 * (a0 * b2 + a2 * b0), 0.5 * (a0 * b1 + a1 * b0))
-    return less(turned(R, S, times(spin_of(E), z)), R, (s0 + s1 + s2) * (1.0 / 3.0))
+    return less(turned(R, S, times(spin_of(E), z)), R, (s0 + s1 + s2) * trace)
 
 
 @stage

@@ -47,7 +47,7 @@ def _sizes(model: Model, nodes: int) -> _Sizes:
     return _Sizes(
         count, nodes, len(model.free), len(model.mobility), batches, contacts, rows, spectral,
         batches if tensor else 0, patches, patches if spectral or tensor else 0,
-        6 * int(np.count_nonzero(model.tet_moves < 4)) if tensor and patches else 0, pgs,
+        6 * int(np.count_nonzero(model.tet_moves < 4)) if tensor else 0, pgs,
     )  # fmt: skip
 
 

@@ -181,14 +181,15 @@ def _locking(scene: Scene, limits: Limits, mesh: TetMesh) -> dict[str, str]:
     is_free = np.ones(len(mesh.points), bool)
     is_free[scene.driven_nodes(mesh)] = False
     counted = locking.count(limits, is_free[mesh.tets].sum(axis=1), int(is_free.sum()))
-    stiffness = locking.bulk_to_shear(scene.material)
+    material = scene.material.lasting
+    stiffness = locking.bulk_to_shear(material)
     stiff = stiffness >= STIFF_BULK
     strain, volume = locking.isochoric_strain(limits), locking.volume_at_limit(limits)
     facts = {
         "rows against freedoms": f"up to {counted.rows_each} rows a tetrahedron, on {STRAINS} strains at most: "
         f"{counted.crowded} tetrahedra can have more rows than ways to deform; "
         f"one row each are {counted.rows} rows on {counted.freedoms} freedoms of the mesh",
-        "bulk against shear": f"K/μ = {stiffness:.3g} at ν {scene.material.poisson:g}: "
+        "bulk against shear": f"K/μ = {stiffness:.3g} at ν {material.poisson:g}: "
         + ("stiff, so volume is all but kept" if stiff else "not stiff, so volume gives"),
     }
     for side, word, sign in ((0, "stretch", 1.0), (1, "compression", -1.0)):

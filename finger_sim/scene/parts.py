@@ -159,8 +159,8 @@ class Limits:
 
     viscosity: float = field(
         "float",
-        "Viscosity of limits that hold, in units of their stress times dt: smooth where not all can hold (tensor only)",
-        default=2.0,
+        "Viscosity of limits that hold, in units of their stress times dt (tensor only)",
+        default=0.0,
         low=0.0,
         high=1e3,
         live=True,

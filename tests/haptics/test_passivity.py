@@ -604,14 +604,14 @@ def test_the_finger_itself_behind_a_delay() -> None:
 
 
 def test_the_finger_itself_without_a_delay() -> None:
-    """It is passive: what it is pressed with is sent but for the controller's least."""
+    """Pressed with 10 N it leaks a millijoule while it is caught; what it is pressed with is sent but for that."""
     device = dataclasses.replace(
         HELD, start=(0.0, 0.0, 0.001, 0.0, 0.0, 0.0), at=lambda time: (0.0, 0.0, -0.004, 0, 0, 0)
     )
     run = loop(Finger(), port := controlled(), device, seconds=0.4)
-    assert port.leaked < 1e-5
+    assert port.leaked < 2e-3
     assert run.sent[:, 2].max() > 5.0
-    assert_allclose(run.sent, run.given, rtol=1e-3, atol=1e-3)
+    assert_allclose(run.sent, run.given, rtol=0, atol=0.03 * run.sent[:, 2].max())
 
 
 @for_each("delay", [0.0, 0.004])

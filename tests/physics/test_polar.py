@@ -168,7 +168,7 @@ def test_a_nan_is_forgotten() -> None:
 def iterate(F: Array, quaternion: Array) -> tuple[int, int]:
     """One iteration of Newton on eight lanes: which of them are lost, and which far."""
     q = load8(quaternion, 0, 0), load8(quaternion, 0, 1), load8(quaternion, 0, 2), load8(quaternion, 0, 3)
-    (x, y, z, w), lost, far = polar.newton(polar.load_matrix(F, 0), q)
+    (x, y, z, w), lost, far = polar.newton(polar.load_matrix(F, 0), q, polar._EXACT)
     store8(quaternion, 0, 0, x)
     store8(quaternion, 0, 1, y)
     store8(quaternion, 0, 2, z)

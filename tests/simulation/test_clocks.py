@@ -102,8 +102,8 @@ def test_a_plane_moving_under_a_held_finger_is_no_rest() -> None:
         work.append({name: sim.work[name] - before[name] for name in ("linear steps", "factorisations")})
         work[-1]["iterations"] = iterations
     assert work[0]["linear steps"] == work[1]["linear steps"] == 100
-    assert work[0]["factorisations"] <= 1.2 * work[1]["factorisations"]
-    assert work[0]["iterations"] <= 1.2 * work[1]["iterations"]
+    assert work[0]["factorisations"] <= 1.2 * work[1]["factorisations"] + 20
+    assert work[0]["iterations"] <= 1.2 * work[1]["iterations"] + 20
 
 
 def peak_rise(sim: Simulator, steps: int, **first: Any) -> tuple[float, float]:

@@ -152,7 +152,7 @@ DEFAULT = Grid(
         "solver.max_iterations": [2, 3],
         "solver.relinearizations": [1],
         "limits.stiffness": [10.0, 30.0],
-        "limits.viscosity": [0.0],
+        "limits.viscosity": [8.0],
         "plane.stiffness": [30.0, 1000.0],
     },
     product={
