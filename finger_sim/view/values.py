@@ -88,7 +88,7 @@ class Values:
     def _shown(self, name: str) -> Any:
         value = self.plain(name)
         if isinstance(value, dict) or spec_of(name).kind == "parts":
-            return yaml.safe_dump(value, default_flow_style=True).strip()
+            return yaml.safe_dump(value, default_flow_style=True, sort_keys=False).strip()
         return list(value) if isinstance(value, tuple) else value
 
     def _item(self, name: str, each: Described) -> dict[str, Any]:
