@@ -2,7 +2,8 @@
 
 Where the package uses gradients r_n of D_m⁻¹, this file inverts the 4 × 4 matrix of barycentric coordinates; where
 it rotates blocks of K, this file multiplies Bᵀ D B in Voigt's notation; where it runs its own Jacobi SVD, LAPACK's;
-where it differentiates V by a closed formula, perturbation theory of the eigenvectors of FᵀF; dense throughout.
+where it differentiates V by a closed formula, perturbation theory of the eigenvectors of FᵀF; where it keeps what a
+spring of a relaxing term still feels, what the damper has yielded, by a matrix exponential; dense throughout.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import itertools
 from typing import Any
 
 import numpy as np
+from scipy.linalg import expm
 from truth import patches
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -46,6 +48,14 @@ def rotation_of(F: Array) -> Array:
 
 
 @dataclasses.dataclass
+class Past:
+    """What stress that relaxes depends on beside the strain now."""
+
+    strains: Array  # (T, 3, 3) what relaxes of the strain at the start of a step
+    yielded: Array  # (terms, T, 3, 3) strains of the dampers there
+
+
+@dataclasses.dataclass
 class Body:
     """A mesh with its material, at rest: everything that a step needs, in dense arrays."""
 
@@ -60,6 +70,8 @@ class Body:
     alpha: float
     beta: float
     gravity: Array
+    terms: tuple[tuple[float, float], ...] = ()  # time [s] and share of each
+    whole: bool = False  # shares are of all of the stress, else of its deviator
 
     @classmethod
     def of(cls, scene: Any, mesh: Any) -> Body:
@@ -92,11 +104,64 @@ class Body:
             material.damping.mass,
             material.damping.stiffness,
             np.array(scene.gravity),
+            tuple((term.time, term.share) for term in material.relaxation),
+            material.relaxes == "stress",
         )
 
     def deformation(self, x: Array) -> Array:
         """F (T, 3, 3) = Σ_n x_n ⊗ ∇b_n, columns along the material axes."""
         return np.einsum("tni,tnj->tij", x[self.tets], self.gradients)
+
+    def strains(self, x: Array, rotations: Array | None = None) -> Array:
+        """sym(RᵀF) − I (T, 3, 3) at x; with `rotations` (T, 3, 3) given, R is frozen there."""
+        F = self.deformation(x)
+        if rotations is None:
+            rotations = np.array([rotation_of(f) for f in F])
+        out: Array = 0.5 * (np.swapaxes(rotations, 1, 2) @ F + np.swapaxes(F, 1, 2) @ rotations) - np.eye(3)
+        return out
+
+    def relaxing(self, strains: Array) -> Array:
+        """What relaxes of strains (T, 3, 3): all, or the deviator."""
+        mean = np.trace(strains, axis1=1, axis2=2) / 3.0
+        return strains if self.whole else strains - mean[:, None, None] * np.eye(3)
+
+    def sudden(self, x: Array) -> Past:
+        """The past of a body that has just been deformed: no damper has yielded yet."""
+        return Past(self.relaxing(self.strains(x)), np.zeros((len(self.terms), len(self.tets), 3, 3)))
+
+    def after(self, past: Past, strains: Array, h: float) -> Past:
+        """That of a step of h [s] on, in which strain goes on a straight line to `strains`: τ α̇ = e − α."""
+        e, yielded = self.relaxing(strains), past.yielded.copy()
+        for k, (time, _) in enumerate(self.terms):
+            for t in range(len(e)):
+                start = np.stack([past.yielded[k, t], past.strains[t], (e[t] - past.strains[t]) / h]).reshape(3, 9)
+                yielded[k, t] = (_course(time, h) @ start)[0].reshape(3, 3)
+        return Past(e, yielded)
+
+    def faded(self, past: Past) -> Array:
+        """What the stress of a strain lacks by then, as a strain (T, 3, 3)."""
+        return np.einsum("k,ktij->tij", [share for _, share in self.terms], past.yielded)
+
+    def within(self, h: float) -> Body:
+        """The same with the moduli that stress at the end of a step of h [s] has for the strain there."""
+        left = 1.0 - sum(share * float(_course(time, h)[0, 2]) / h for time, share in self.terms)
+        bulk = (self.lame_lambda + 2.0 / 3.0 * self.lame_mu) * (left if self.whole else 1.0)
+        shear = left * self.lame_mu
+        return dataclasses.replace(self, lame_mu=shear, lame_lambda=bulk - 2.0 / 3.0 * shear, terms=())
+
+    def stored(self, x: Array, past: Past) -> float:
+        """Elastic energy [J]: of each term's share, that of what its spring still feels of the strain."""
+        total = self.energy(x)
+        for (_, share), yielded in zip(self.terms, past.yielded, strict=True):
+            total += share * (self.energy_of(past.strains - yielded) - self.energy_of(past.strains))
+        return total
+
+    def energy_of(self, strains: Array) -> float:
+        """Σ vol (μ |dev e|² + K/2 (tr e)²), each tetrahedron with its own volume strain."""
+        traces = np.trace(strains, axis1=1, axis2=2)
+        bulk = self.lame_lambda + 2.0 / 3.0 * self.lame_mu
+        square = (strains**2).sum(axis=(1, 2)) - traces**2 / 3.0
+        return float(self.volume @ (self.lame_mu * square + 0.5 * bulk * traces**2))
 
     def energy(self, x: Array) -> float:
         """Elastic energy Σ vol (μ |dev(S − I)|² + K/2 θ²), S = RᵀF, θ its patch's mean of tr(S − I) [J]."""
@@ -135,12 +200,17 @@ class Body:
             B[:, 3 * n : 3 * n + 3] = [[a, 0, 0], [0, b, 0], [0, 0, c], [0, c, b], [c, 0, a], [b, a, 0]]
         return B
 
-    def forces(self, x: Array, rotations: Array | None = None) -> Array:
-        """Elastic nodal forces (n, 3) [N] at x; with `rotations` (T, 3, 3) given, R is frozen there."""
-        F, out, D = self.deformation(x), np.zeros((len(self.points), 3)), self.hooke()
+    def forces(self, x: Array, rotations: Array | None = None, past: Past | None = None, h: float = 0.0) -> Array:
+        """Elastic nodal forces (n, 3) [N] at x; with `rotations` (T, 3, 3) given, R is frozen there.
+
+        Of stress that relaxes, those at the end of a step of h [s] from `past` to x.
+        """
+        out, D = np.zeros((len(self.points), 3)), self.hooke()
         if rotations is None:
-            rotations = np.array([rotation_of(f) for f in F])
-        strains = 0.5 * (np.swapaxes(rotations, 1, 2) @ F + np.swapaxes(F, 1, 2) @ rotations) - np.eye(3)
+            rotations = np.array([rotation_of(f) for f in self.deformation(x)])
+        strains = self.strains(x, rotations)
+        if past is not None:
+            strains = strains - self.faded(self.after(past, strains, h))
         traces = np.trace(strains, axis1=1, axis2=2)
         strains += ((self.swelling(traces) - traces) / 3.0)[:, None, None] * np.eye(3)
         for t, (nodes, R, E) in enumerate(zip(self.tets, rotations, strains, strict=True)):
@@ -221,15 +291,16 @@ class Body:
         limit_force: Array | None = None,
         viscosity: float = 0.0,
         resistance: Array | float = 0.0,
+        past: Past | None = None,
     ) -> System:
         """A v = b of backward Euler for the free nodes, the driven ones' velocities on the right."""
-        K = self.stiffness(x)
+        K = self.within(h).stiffness(x)
         m = np.repeat(self.mass, 3)
         A = (1.0 + h * self.alpha) * np.diag(m) + h * (h + self.beta) * K
         if limit_force is not None:
             A += h * h * self.turning(limit_force, viscosity)
         A += h * h * resistance
-        b = m * v.ravel() + h * (m * np.tile(self.gravity, len(self.points)) + self.forces(x).ravel())
+        b = m * v.ravel() + h * (m * np.tile(self.gravity, len(self.points)) + self.forces(x, None, past, h).ravel())
         is_free = np.ones(len(self.points), bool)
         is_free[list(driven)] = False
         free = np.flatnonzero(np.repeat(is_free, 3))
@@ -238,6 +309,12 @@ class Body:
         if len(held):
             given[held] = np.asarray(v_driven).ravel()
         return System(A[np.ix_(free, free)], b[free] - A[np.ix_(free, held)] @ given[held], free, given)
+
+
+def _course(time: float, h: float) -> Array:
+    """What h [s] make of (α, e, ė) with τ α̇ = e − α and ė constant: the matrix (3, 3)."""
+    step: Array = expm(h * np.array([[-1.0 / time, 1.0 / time, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]))
+    return step
 
 
 @dataclasses.dataclass

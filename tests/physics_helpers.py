@@ -117,10 +117,14 @@ def nodal_forces(scene: Scene, positions: Array) -> Array:
     return sim.velocities * lumped_mass(short, sim.mesh)[:, None] / 1e-6
 
 
-def assembled(scene: Scene, x: Array, h: float) -> tuple[Array, Array]:
-    """A and b of a step of h from x at rest, dense and in node order of the free nodes (3 nf)."""
+def assembled(
+    scene: Scene, x: Array, h: float, before: Callable[[Simulator], None] | None = None
+) -> tuple[Array, Array]:
+    """A and b of a step of h from x at rest, dense and in node order of the free nodes (3 nf); `before` the step."""
     sim = Simulator(scene.with_values({"dt": h, "solver.method": "newton"}))  # which leaves b as it was
     sim.set_state(x, np.zeros_like(x))
+    if before is not None:
+        before(sim)
     sim.step()
     model, state = sim._model, sim._state
     nf = len(model.free)

@@ -24,12 +24,14 @@ from .kinematics import edges_times
 from .lanes import load4, load8, splat4, store4, store8, sum3
 from .model import Model, State
 from .polar import load_matrix
+from .relaxation import step_moduli
 
 
 @stage
 def patch_pressures(model: Model, state: State, lead: float) -> None:
     """K θ_p of every tetrahedron's patch into state.pressure, driven nodes going on for `lead` [s]."""
-    own, pressure, strains, volumes = model.patches, state.pressure, state.E, model.lane_volume
+    own, pressure, strains, volumes = model.patches, state.pressure, state.felt_strain, model.lane_volume
+    bulk = step_moduli(model, state)[2]
     theta, patches = state.theta, own.lane
     r, nodes, driven, w, rotations = (
         model.lane_gradients,
@@ -50,7 +52,7 @@ def patch_pressures(model: Model, state: State, lead: float) -> None:
         for l in range(8):
             theta[patches[b, l]] += pressure[b, l]
     for p in range(theta.shape[0]):
-        theta[p] *= own.bulk / own.volume[p]
+        theta[p] *= bulk / own.volume[p]
     for b in range(strains.shape[0]):
         for l in range(8):
             pressure[b, l] = theta[patches[b, l]]
@@ -153,9 +155,9 @@ def add_patch_rows(model: Model, state: State, D: Floats, L: Floats) -> None:
 def patch_stiffness(model: Model, state: State, weight: float) -> None:
     """Add weight · K V_p G_a G_bᵀ to A."""
     own, A, G = model.patches, state.A, state.G
-    assembly = own.assembly
+    assembly, bulk = own.assembly, step_moduli(model, state)[2]
     for k in range(assembly.shape[0]):
         p, row, column, block = assembly[k, 0], assembly[k, 1], assembly[k, 2], assembly[k, 3]
-        a = load4(G, row, 0) * (weight * own.bulk * own.volume[p])
+        a = load4(G, row, 0) * (weight * bulk * own.volume[p])
         for j in range(3):
             store4(A, block, j, load4(A, block, j) + a * G[column, j])

@@ -13,6 +13,8 @@ Under the `tensor` limit, the limit forces Λ = Σ λ of a tetrahedron (of the l
 that need not be positive, but its size is about Λ r_a · r_b; `limits.viscosity` times so much is added to h² K, where
 it acts as a viscosity h Λ / vol: nothing at rest, and an end to the chatter where limits cannot all hold.
 
+Where stress relaxes, it is that of another strain with the moduli of the step: see relaxation.py.
+
 g_a · g_b = r_a · r_b does not turn: that part of A is known beforehand (Model.laplace). Driven nodes are no unknowns
 (but for those of a bone that yields, see bone.py): their velocity enters as the strain (h + β) sym(RᵀḞ_driven) that it
 gives their tetrahedra within the step.
@@ -27,6 +29,7 @@ from .lanes import absolute, add3, bits, lane, load4, load8, maximum, scatter3, 
 from .methods import NEWTON, NONE, TENSOR
 from .model import Model, State
 from .polar import load_matrix, transposed_times
+from .relaxation import step_moduli
 from .turning import add_turning, resist_driven
 from .vectors import add, clear, copy8, subtract_product
 from .work import MATRICES
@@ -126,8 +129,9 @@ def stresses(model: Model, state: State, h: float, lead: float, anew: bool) -> N
 
     anew: `matrix` needs state.g = R r_n of every node of every tetrahedron, as rows on principal stretches do.
     """
-    r, two_mu, lame_lambda = model.lane_gradients, 2.0 * model.lame_mu, model.lame_lambda
-    rotations, strains, volumes, slots, nodes = state.R, state.E, model.lane_volume, model.lane_slot, model.lane_node
+    lame_lambda, lame_mu, _ = step_moduli(model, state)
+    r, two_mu, strains = model.lane_gradients, 2.0 * lame_mu, state.felt_strain
+    rotations, volumes, slots, nodes = state.R, model.lane_volume, model.lane_slot, model.lane_node
     driven, w, rhs, g = model.lane_driven, state.driven_velocity, state.rhs, state.g
     limit_force, patched, pressures = state.turning_force, model.patches.volume.shape[0] > 0, state.pressure
     follows = turning_limits(model, state)
@@ -185,7 +189,8 @@ def matrix(model: Model, state: State, h: float) -> None:
     A, g, free, mass, laplace, nf = state.A, state.g, model.free, model.mass, model.laplace, model.free.shape[0]
     assembly, start, volume, dot = model.assembly, model.assembly_start, model.volume, model.assembly_dot
     weight = h * (h + model.damping_stiffness)
-    w_lambda, w_mu = weight * model.lame_lambda, weight * model.lame_mu
+    lame_lambda, lame_mu, _ = step_moduli(model, state)
+    w_lambda, w_mu = weight * lame_lambda, weight * lame_mu
     inertia, viscosity = 1.0 + h * model.damping_mass, model.limit_viscosity * h * h
     limit_force, turns = state.turning_force.reshape(-1), turning_limits(model, state)
     bones = nf + model.block_row.shape[0]  # the first diagonal block of a bone's node

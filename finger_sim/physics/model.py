@@ -90,6 +90,8 @@ class Model(NamedTuple):
     contact_nodes: Ints  # (c,) those of them that are free
     lame_lambda: float  # [Pa]; where there are patches −2 μ / 3: what a tetrahedron's deviator has of it
     lame_mu: float  # [Pa]
+    relaxation: Floats  # (terms, 2) time τ [s] and share g of each term of relaxation.py; none: stress does not fade
+    relaxes_pressure: bool  # shares are of all of the stress, else of its deviator
     least_force: float  # forces are judged relative to the largest row force, and no finer than relative to this [N]
     felt_force: float  # nor than to this [N]: Solver.least_force
     damping_mass: float  # Rayleigh α [1/s]
@@ -122,6 +124,7 @@ class Model(NamedTuple):
     sweeps_at: int  # addresses of kernels (apart.py); 0: not needed, or nothing is compiled
     decompose_at: int
     limit_rows_at: int
+    relax_at: int
 
 
 class Newton(NamedTuple):
@@ -209,6 +212,16 @@ class Tensor(NamedTuple):
     turning_J: Floats  # (k, 4, 4) g
 
 
+class Relaxing(NamedTuple):
+    """What stress that relaxes has of the past (relaxation.py); empty where it does not."""
+
+    overstrain: Floats  # (B, 6 terms, 8) y of each term, as State.E; within a step z
+    memory: Floats  # (B, 6, 8) Σ g z / γ of this step
+    factors: Floats  # (terms, 2) a, c of each term in this step
+    moduli: Floats  # (3,) λ and μ of tetrahedra, K of patches in this step [Pa]
+    rate: Floats  # (1,) the largest |y| / τ, component by component, at the end of the last step [1/s]
+
+
 class State(NamedTuple):
     """Positions, velocities and what the last step left; then the workspace of a step (nothing is allocated in it).
 
@@ -244,6 +257,7 @@ class State(NamedTuple):
     wrench: Floats  # (6,) sum of contact_force [N] and torque about `origin` [N m]: plane on finger, world axes
     R: Floats  # (B, 9, 8) rotation of each tetrahedron at x: F = R (I + E), from material axes to the world
     E: Floats  # (B, 6, 8) Biot strain 00 11 22 12 02 01, material axes
+    felt_strain: Floats  # (B, 6, 8) what stress is of: E, or with what is left of the past (relaxation.py)
     limit_strain: Floats  # (B, 6, 8) what limits bound: E, or its deviator with the volume strain of the patch
     inverted: Ints  # (1,) batches with a tetrahedron that is inside out
     strain_ratio: Floats  # (T,) strain/limit at x
@@ -298,7 +312,8 @@ class State(NamedTuple):
     lam: Floats  # (rows,) row forces
     best: Floats  # (rows,) row forces of the least residual so far
 
-    # Workspace by owner.
+    # By owner.
+    relaxing: Relaxing
     newton: Newton
     pgs: Pgs
     yielding: Yielding

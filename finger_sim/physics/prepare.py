@@ -45,6 +45,8 @@ class Tissue(NamedTuple):
     damping_mass: float  # Rayleigh α [1/s]
     damping_stiffness: float  # Rayleigh β [s]
     patched: bool = False  # volume strain is that of patches of tetrahedra, not each one's own
+    relaxation: tuple[tuple[float, float], ...] = ()  # time [s] and share of the stress of each term that fades
+    relaxes_pressure: bool = False  # shares are of all of the stress, else of its deviator
 
     @property
     def bulk(self) -> float:
@@ -55,6 +57,14 @@ class Tissue(NamedTuple):
     def shear(self) -> float:
         """μ [Pa]."""
         return self.young / (2.0 * (1.0 + self.poisson))
+
+    @property
+    def lasting_poisson(self) -> float:
+        """ν once all that relaxes has faded."""
+        if not self.relaxation or self.relaxes_pressure:
+            return self.poisson
+        bulk, shear = 3.0 * self.bulk, self.shear * (1.0 - sum(share for _, share in self.relaxation))
+        return (bulk - 2.0 * shear) / (2.0 * (bulk + shear))
 
 
 class Strains(NamedTuple):
@@ -160,10 +170,12 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         if tissue.patched
         else tissue.young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)),
         lame_mu=tissue.shear,
+        relaxation=np.array(tissue.relaxation, np.float64).reshape(-1, 2),
+        relaxes_pressure=tissue.relaxes_pressure,
         least_force=_least_force(tissue.shear, setting.gravity, mass, length),
         damping_mass=tissue.damping_mass,
         damping_stiffness=tissue.damping_stiffness,
-        **_limits(strains, poisson),
+        **_limits(strains, tissue.lasting_poisson),
         **setting._asdict(),
         has_bone=has_bone,
         rest_driven=body.points[driven] if has_bone else np.zeros((0, 3)),
@@ -171,6 +183,7 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         sweeps_at=0,
         decompose_at=0,
         limit_rows_at=0,
+        relax_at=0,
         **live._asdict(),
     )
 

@@ -20,6 +20,7 @@ from .methods import NEWTON, NONE, PGS, TENSOR
 from .model import Model, State
 from .newton import newton
 from .observed import observe_limits
+from .relaxation import BEGIN, END, MOVED
 from .strain_limits import bounded_at
 from .tensor_rows import pack_rows, tensor_rows
 from .vectors import add, copy, copy_first
@@ -83,7 +84,8 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
     drawn to the pose in state.target.
 
     state.R, E (F, U, s, V) hold the kinematics of the start (Eq. 1-4), those of the end are left for the next step.
-    After STEP_REJECTED the positions are those of the start and the velocities are of no use: set both anew.
+    After STEP_REJECTED the positions are those of the start and the velocities are of no use: set both anew. Stress
+    that relaxes has done so for a step.
     """
     state.result[:] = 0.0
     lap(state.laps, state.time, OUTPUT)
@@ -102,10 +104,15 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
         copy_first(state.twist_start, state.twist, state.twist.shape[0])
     if shares or wanted > 0:
         copy(state.v_start, state.v)
+    relaxes = state.relaxing.rate.shape[0] > 0
+    if relaxes:
+        apart.relax(model, state, h, BEGIN)
     while True:
         for again in range(wanted + 1):
             if again > 0:
                 relinearise(model, state, targets, h, again)
+                if relaxes:
+                    apart.relax(model, state, h, MOVED)
             contacts, rows, definite = linear_step(model, state, h, again, tolerance)
             well = definite and bounded(state.v, _FARTHEST * model.length / h)
             if not well:
@@ -120,9 +127,16 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
         elif not shares:
             state.age[0] = 0
             state.result[STATUS] = _REJECTED
+            if relaxes:
+                deform(model, state)
+                apart.relax(model, state, h, END)
             return
         shares = False  # it has gone where A is no good: once more, with its own
         put_back(model, state)
+        if relaxes:
+            apart.relax(model, state, h, MOVED)
+    if relaxes:
+        apart.relax(model, state, h, END)
     if model.has_bone:
         for i in range(7):
             state.bone[i] = state.bone[7 + i]

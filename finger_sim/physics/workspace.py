@@ -10,7 +10,7 @@ from ..arrays import Floats
 from .lanes import BATCH, LANES, aligned, aligned_copy
 from .linear_solver import SIDES_AT_ONCE
 from .methods import LINEAR, NONE, ORTHOGONAL, PGS, TENSOR
-from .model import Model, Newton, Pgs, Principal, State, Tensor, Yielding
+from .model import Model, Newton, Pgs, Principal, Relaxing, State, Tensor, Yielding
 from .tensor_rows import MOST_DIRECTIONS
 from .work import WORK
 
@@ -63,6 +63,7 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
         time=np.zeros(2, np.int64),
         **_linearisation(model, size),
         **_rows(size),
+        relaxing=_relaxing(model, size),
         newton=_newton(size),
         pgs=_pgs(size),
         yielding=_yielding(model),
@@ -106,6 +107,7 @@ def _told_and_reported(model: Model, size: _Sizes) -> dict[str, Any]:
         "wrench": np.zeros(6),
         "R": aligned(size.batches, 9, LANES),
         "E": strain,
+        "felt_strain": aligned(*strain.shape) if len(model.relaxation) else strain,
         "limit_strain": np.zeros_like(strain) if size.limited_patches else strain,
         "inverted": np.zeros(1, np.int64),
         "strain_ratio": np.zeros(size.tets),
@@ -164,6 +166,18 @@ def _rows(size: _Sizes) -> dict[str, Any]:
         "lam": np.zeros(rows),
         "best": np.zeros(rows),
     }
+
+
+def _relaxing(model: Model, size: _Sizes) -> Relaxing:
+    terms = len(model.relaxation)
+    batches, one = (size.batches, 1) if terms else (0, 0)
+    return Relaxing(
+        overstrain=aligned(batches, 6 * terms, LANES),
+        memory=aligned(batches, 6, LANES),
+        factors=np.zeros((terms, 2)),
+        moduli=np.zeros(3 * one),
+        rate=np.zeros(one),
+    )
 
 
 def _newton(size: _Sizes) -> Newton:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 
 from ..bags.changes import changes_in
@@ -22,6 +24,7 @@ from ..physics.locking import STIFF_BULK, STRAINS
 from ..scene import Limits, Plane, Scene, locking
 from ..scene.fields import to_dict
 from ..scene.mesh import TetMesh
+from ..scene.parts import Material
 from ..scene.resources import bag_named, existing, mesh_named, scene_named, shipped_names
 
 
@@ -154,6 +157,7 @@ def _scene(path: Path) -> Iterator[tuple[str, Table]]:
         "free": f"{len(mesh.points) - driven} nodes",
         "material": f"E {material.young:g} Pa, ν {material.poisson:g}, {material.density:g} kg/m³, "
                     f"damping {material.damping.mass:g} 1/s · M + {material.damping.stiffness:g} s · K",
+        "relaxation": _relaxation(material),
         "limits": _limits(scene.limits),
         "plane": _plane(scene.plane),
         "solver": f"{scene.solver.method}, tolerance {scene.solver.tolerance:g}, "
@@ -177,14 +181,15 @@ def _locking(scene: Scene, limits: Limits, mesh: TetMesh) -> dict[str, str]:
     is_free = np.ones(len(mesh.points), bool)
     is_free[scene.driven_nodes(mesh)] = False
     counted = locking.count(limits, is_free[mesh.tets].sum(axis=1), int(is_free.sum()))
-    stiffness = locking.bulk_to_shear(scene.material)
+    material = scene.material.lasting
+    stiffness = locking.bulk_to_shear(material)
     stiff = stiffness >= STIFF_BULK
     strain, volume = locking.isochoric_strain(limits), locking.volume_at_limit(limits)
     facts = {
         "rows against freedoms": f"up to {counted.rows_each} rows a tetrahedron, on {STRAINS} strains at most: "
         f"{counted.crowded} tetrahedra can have more rows than ways to deform; "
         f"one row each are {counted.rows} rows on {counted.freedoms} freedoms of the mesh",
-        "bulk against shear": f"K/μ = {stiffness:.3g} at ν {scene.material.poisson:g}: "
+        "bulk against shear": f"K/μ = {stiffness:.3g} at ν {material.poisson:g}: "
         + ("stiff, so volume is all but kept" if stiff else "not stiff, so volume gives"),
     }
     for side, word, sign in ((0, "stretch", 1.0), (1, "compression", -1.0)):
@@ -206,18 +211,17 @@ def _memory(scene: Scene, mesh: TetMesh) -> int:
     from ..simulation.build import build_model
 
     model = build_model(scene, mesh)
-    return _bytes(model) + _bytes(build_state(model, mesh.points))
+    arrays = _arrays((model, build_state(model, mesh.points)))
+    return sum({id(array): array.nbytes for array in arrays}.values())
 
 
-def _bytes(record: NamedTuple) -> int:
-    """Bytes of the arrays in a record and the records within."""
-    size = 0
+def _arrays(record: Iterable[Any]) -> Iterator[NDArray[Any]]:
+    """The arrays in a record and the records within; one that has two names comes twice."""
     for value in record:
         if isinstance(value, np.ndarray):
-            size += value.nbytes
-        elif isinstance(value, tuple) and hasattr(value, "_fields"):
-            size += _bytes(value)  # type: ignore[arg-type]
-    return size
+            yield value
+        elif isinstance(value, tuple):
+            yield from _arrays(value)
 
 
 def _limits(limits: Limits | None) -> str:
@@ -230,6 +234,15 @@ def _limits(limits: Limits | None) -> str:
     axes = ", ".join(f"e{axis} {text}" for axis, text in enumerate(ranges, start=1))
     stiffness = "rigid" if limits.stiffness is None else f"stiffness {limits.stiffness:g} E"
     return f"{limits.projection}, stretch along {axes}, {stiffness}"
+
+
+def _relaxation(material: Material) -> str:
+    """What fades while a strain is held, and what stays."""
+    if not material.relaxation:
+        return "none"
+    terms = ", ".join(f"{term.share:g} with {term.time:g} s" for term in material.relaxation)
+    stays = 1.0 - sum(term.share for term in material.relaxation)
+    return f"of the {material.relaxes}: {terms}; {stays:.3g} stays"
 
 
 def _plane(plane: Plane | None) -> str:
@@ -250,6 +263,8 @@ def _plain(value: Any) -> str:
         return "[" + ", ".join(_plain(item) for item in value) + "]"
     if isinstance(value, float):
         return f"{value:g}"
+    if dataclasses.is_dataclass(value):
+        return f"{{{', '.join(f'{name}: {_plain(part)}' for name, part in to_dict(value).items())}}}"
     return "null" if value is None else str(value)
 
 

@@ -45,7 +45,7 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
     )
     if spec.kind == "int":
         out.integer_range = [IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=0)]
-    elif spec.kind not in ("text", "choice", "bool", "cells") and math.isfinite(spec.low):
+    elif spec.kind not in ("text", "choice", "bool", "cells", "parts") and math.isfinite(spec.low):
         high = math.inf if nullable else float(spec.high)
         out.floating_point_range = [FloatingPointRange(from_value=float(spec.low), to_value=high, step=0.0)]
     return out

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeVar, cast
 
 from ..errors import SceneError
 from ..physics.rotations import LONG_QUATERNION, SHORT_QUATERNION, Quaternion, unit
 
-Kind = Literal["float", "int", "bool", "text", "choice", "vec3", "quaternion", "limit3", "cells", "part"]
+Kind = Literal["float", "int", "bool", "text", "choice", "vec3", "quaternion", "limit3", "cells", "part", "parts"]
 T = TypeVar("T")
 
 INF = math.inf
@@ -20,7 +20,10 @@ UNKNOWN_KEY = "no such key"
 
 @dataclasses.dataclass(frozen=True)
 class Field:
-    """What one key may hold. `low` and `high` are inclusive; `live` may change while running."""
+    """What one key may hold. `low` and `high` are inclusive; `live` may change while running.
+
+    Of a list of blocks (`parts`), `high` is how many there may be.
+    """
 
     kind: Kind
     doc: str
@@ -48,8 +51,14 @@ class Field:
             "limit3": f"a number {span}, or three of them (null on an axis: free)",
             "cells": f"three whole numbers, each {span}",
             "part": "a block of keys",
+            "parts": f"a list of at most {self.high:g} blocks with the keys {', '.join(self._keys)}",
         }[self.kind]
         return f"{words}, or null" if self.optional else words
+
+    @property
+    def _keys(self) -> Iterable[str]:
+        """Of the blocks that it holds, if any."""
+        return () if self.part is None else specs(self.part)
 
     def parse(self, value: Any, key: str) -> Any:
         """The value in its canonical form. Raises SceneError naming `key` when it is not allowed."""
@@ -120,6 +129,11 @@ class Field:
         assert self.part is not None
         return parse_part(self.part, value, key)
 
+    def _parse_parts(self, value: Any, key: str) -> tuple[Any, ...] | None:
+        if not isinstance(value, list | tuple) or len(value) > self.high:
+            return None
+        return tuple(self._parse_part(item, f"{key}[{index}]") for index, item in enumerate(value))
+
 
 def unwrapped(value: Any) -> Any:
     """NumPy scalars and arrays as Python numbers and lists; anything else as it is."""
@@ -170,6 +184,9 @@ def to_dict(part: Any) -> dict[str, Any]:
         if spec.kind == "part":
             if value is not None:
                 out[name] = to_dict(value)
+        elif spec.kind == "parts":
+            if value:
+                out[name] = [to_dict(item) for item in value]
         elif hasattr(value, "as_plain"):
             out[name] = value.as_plain()
         elif isinstance(value, tuple):

@@ -17,6 +17,7 @@ from .fields import field, to_dict
 from .pose import Vec3
 
 Limit3 = tuple[float | None, float | None, float | None]
+MOST_POISSON = 0.4999
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,12 +60,20 @@ class Damping:
 
 
 @dataclasses.dataclass(frozen=True)
+class Relaxation:
+    """A part of the stress that fades while a strain is held (one term of a Prony series)."""
+
+    time: float = field("float", "Time constant τ, in which it falls to 1/e", unit="s", low=1e-5, high=1e5)
+    share: float = field("float", "Its share of the stress of a strain that has just come", low=0.0, high=0.999)
+
+
+@dataclasses.dataclass(frozen=True)
 class Material:
-    """Corotational linear elasticity."""
+    """Corotational linear elasticity, which may relax."""
 
     density: float = field("float", "Mass density", default=1000.0, unit="kg/m^3", low=1.0, high=1e5)
     young: float = field("float", "Young's modulus E", default=2.0e6, unit="Pa", low=1.0, high=1e12)
-    poisson: float = field("float", "Poisson's ratio ν", default=0.4, low=-0.9, high=0.4999)
+    poisson: float = field("float", "Poisson's ratio ν", default=0.4, low=-0.9, high=MOST_POISSON)
     damping: Damping = field("part", "Rayleigh damping", default=Damping(), part=Damping)
     volumetric: Literal["element", "patch"] = field(
         "choice",
@@ -72,6 +81,41 @@ class Material:
         default="element",
         choices=("element", "patch"),
     )
+    relaxation: tuple[Relaxation, ...] = field(
+        "parts",
+        "Parts of the stress that fade while a strain is held, {time, share} each; `young` is that before any has",
+        default=(),
+        low=0,
+        high=8,
+        part=Relaxation,
+    )
+    relaxes: Literal["deviator", "stress"] = field(
+        "choice",
+        "What `relaxation` has shares of: the stress without its pressure, as where volume is kept; or all of it",
+        default="deviator",
+        choices=("deviator", "stress"),
+    )
+
+    def check(self, prefix: str) -> None:
+        shares = [term.share for term in self.relaxation]
+        if sum(shares) >= 1.0:
+            where, given = f"{prefix}relaxation", f"shares of {sum(shares):g} together"
+            raise SceneError(where, given, "shares of less than 1 together: the rest is what stays")
+
+    @property
+    def lasting(self) -> Material:
+        """The same once all that relaxes has faded: what a strain that is held for ever feels.
+
+        ν is the largest that a scene may have where it would be larger still.
+        """
+        if not self.relaxation:
+            return self
+        left = 1.0 - sum(term.share for term in self.relaxation)
+        shear = left * self.young / (2.0 * (1.0 + self.poisson))
+        bulk = (left if self.relaxes == "stress" else 1.0) * self.young / (3.0 * (1.0 - 2.0 * self.poisson))
+        poisson = min((3.0 * bulk - 2.0 * shear) / (2.0 * (3.0 * bulk + shear)), MOST_POISSON)
+        young = 2.0 * (1.0 + poisson) * shear
+        return dataclasses.replace(self, young=young, poisson=poisson, relaxation=())
 
 
 @dataclasses.dataclass(frozen=True)

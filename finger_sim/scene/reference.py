@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from .fields import Field
+from .fields import Field, specs
 
 
 def dotted(part: type, prefix: str = "") -> Iterator[tuple[str, Field, Any]]:
@@ -20,7 +20,7 @@ def dotted(part: type, prefix: str = "") -> Iterator[tuple[str, Field, Any]]:
         spec: Field | None = f.metadata.get("spec")
         if spec is None:
             continue
-        if spec.part is not None:
+        if spec.kind == "part" and spec.part is not None:
             yield from dotted(spec.part, f"{prefix}{f.name}.")
         else:
             yield prefix + f.name, spec, f.default
@@ -37,7 +37,7 @@ def default_of(value: Any) -> str:
     """A field's default in words."""
     if value is dataclasses.MISSING:
         return "needed"
-    if value is None or value == "":
+    if value is None or value in ("", ()):
         return "none"
     if isinstance(value, tuple):
         return "free" if set(value) == {None} else " ".join(map(_number, value))
@@ -52,6 +52,9 @@ def allowed_of(spec: Field) -> str:
         text = "true, false"
     elif spec.kind == "choice":
         text = ", ".join(spec.choices)
+    elif spec.kind == "parts" and spec.part is not None:
+        keys = ", ".join(f"{name}: {_allowed(key)}" for name, key in specs(spec.part).items())
+        text = f"at most {_number(spec.high)} of {{{keys}}}"
     elif spec.kind in ("text", "quaternion"):
         text = {"text": "text", "quaternion": "x y z w, not all 0"}[spec.kind]
     else:

@@ -1,7 +1,7 @@
 """Values of fields as ROS parameters have them, and back; needs no ROS.
 
 A value that YAML writes as null has no ROS type; a parameter has "" (text) or inf (number, axis of a limit)
-there.
+there. Nor have blocks, or lists of them: a parameter has their YAML as a text.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from .fields import Field
+from .fields import Field, to_dict
 
 ARRAY_KINDS = ("vec3", "quaternion", "limit3")
 
@@ -20,6 +20,8 @@ def to_ros(value: Any, spec: Field) -> Any:
     """The value of a ROS parameter for a field's value."""
     if value is None:
         return "" if spec.kind in ("text", "choice") else [math.inf] * 3 if spec.kind in ARRAY_KINDS else math.inf
+    if spec.kind == "parts":
+        return yaml.safe_dump([to_dict(item) for item in value], default_flow_style=True, sort_keys=False).strip()
     if hasattr(value, "as_plain"):
         return yaml.safe_dump(value.as_plain(), default_flow_style=True).strip()
     if spec.kind in ARRAY_KINDS:
@@ -36,7 +38,7 @@ def from_ros(value: Any, spec: Field) -> Any:
         return [None if item == math.inf else item for item in value]
     if spec.kind == "text" and type(value) is int:
         return str(value)
-    if spec.kind == "text" and isinstance(value, str) and value.lstrip().startswith("{"):
+    if isinstance(value, str) and (spec.kind == "parts" or (spec.kind == "text" and value.lstrip().startswith("{"))):
         try:
             return yaml.safe_load(value)
         except yaml.YAMLError:

@@ -27,6 +27,8 @@ def build_model(scene: Scene, mesh: TetMesh) -> Model:
         material.damping.mass,
         material.damping.stiffness,
         material.volumetric == "patch",
+        tuple((term.time, term.share) for term in material.relaxation),
+        material.relaxes == "stress",
     )
     setting = Setting(np.array(scene.gravity), scene.plane is not None, METHODS[solver.method], solver.relinearizations)
     strains = _strains(scene.limits) if scene.limits else UNLIMITED

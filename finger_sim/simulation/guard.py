@@ -6,11 +6,15 @@ from typing import NamedTuple
 
 from ..arrays import Floats
 from ..physics.compile import stage
+from ..physics.model import State
 from ..physics.records import side_by_side
 from ..physics.step import CONTACTS, REACH, SPEED, Status
 
 STILL, STILL_TIME = 1e-6, 0.01
 """A body is at rest when for so long [s] no node was faster than this part of the tetrahedra's size a second."""
+RELAXED = 1e-5
+"""Nor may it sleep while its stress relaxes: the strain that it has of the past fades by no more than this a second. A
+tetrahedron strains by several times what its nodes move by, so this is more than STILL."""
 MOST_REJECTIONS = 20
 """Steps rejected in a row that restore a body: one that moved rigidly with its bone for so long does not come back."""
 TORN = 30.0
@@ -103,12 +107,19 @@ def broken(guard: Guard, status: int, result: Floats, h: float) -> bool:
 
 
 @stage
-def judge(guard: Guard, status: int, result: Floats, moves: bool, dt: float) -> int:
+def relaxed(state: State) -> bool:
+    """Whether no stress relaxes any more: the slowest term has settled."""
+    rate = state.relaxing.rate
+    return bool(rate.shape[0] == 0 or rate[0] <= RELAXED)
+
+
+@stage
+def judge(guard: Guard, status: int, result: Floats, moves: bool, relaxes: bool, dt: float) -> int:
     """What is to become of the body after a step of dt [s]. result: State.result of its last substep."""
     speed, touches = result[SPEED], result[CONTACTS] > 0.0
     rages = status & _STRAINED != 0 and not touches and speed > guard.raging_speed[0] and not moves
     guard.raging[0] = guard.raging[0] + 1.0 if rages else 0.0
-    rests = speed <= guard.still_speed[0] and not moves and status & _UNSETTLED == 0
+    rests = speed <= guard.still_speed[0] and not moves and not relaxes and status & _UNSETTLED == 0
     guard.still[0] = guard.still[0] + 1.0 if rests else 0.0
     if guard.raging[0] * dt >= RAGING_TIME:
         return RESTORED

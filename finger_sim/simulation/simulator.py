@@ -23,6 +23,7 @@ from ..physics.compile import compiling
 from ..physics.ready import kernels as ready_kernels
 from ..physics.ready import measure_strains, ready, refresh, step_beside, strains_of
 from ..physics.records import direct, held
+from ..physics.relaxation import suddenly
 from ..physics.rotations import matrix
 from ..physics.work import WORK
 from ..physics.workspace import build_state
@@ -253,6 +254,7 @@ class Simulator:
     def set_state(self, positions: Floats, velocities: Floats) -> None:
         """Put the nodes at `positions` [m] with `velocities` [m/s], both (n, 3), world; row forces are forgotten.
 
+        Stress that relaxes is that of a body that was suddenly deformed so: nothing of it has faded yet.
         Driven nodes go on from where `pose` has them; a bone that yields, with the rigid motion nearest to theirs.
 
         Raises SceneError when a shape is wrong or a number is not finite.
@@ -275,6 +277,8 @@ class Simulator:
         wake(self._body.guard)
         state.age[0] = state.held_tets[0] = state.newton.factors[0] = 0
         refresh(self._ready)
+        if self.scene.material.relaxation:
+            suddenly(self._model, state)
 
     def apply(self, values: Mapping[str, Any]) -> None:
         """Change live values of the scene (dotted keys, e.g. {"plane.friction": 0.3}) between two steps.
@@ -380,12 +384,17 @@ class Simulator:
         wake(body.guard)
 
     def _move_rigidly(self, before: Pose, after: Pose, h: float) -> None:
-        """After a rejected step: every node goes with the bone; a body whose bone yields, or that has none, stops."""
+        """After a rejected step: every node goes with the bone; a body whose bone yields, or that has none, stops.
+
+        It stays deformed as it was, and its stress goes on to relax.
+        """
+        overstrain = self._state.relaxing.overstrain.copy()
         if not self._driven or self._yields:
             self.set_state(self.positions, np.zeros_like(self.positions))
-            return
-        moved = carried(self.positions, before, after)
-        self.set_state(moved, (moved - self.positions) / h)
+        else:
+            moved = carried(self.positions, before, after)
+            self.set_state(moved, (moved - self.positions) / h)
+        self._state.relaxing.overstrain[:] = overstrain
 
     def _restore(self) -> None:
         """Undeformed and at rest where the bone is: what else is left to a body that is beyond repair (see Guard)."""

@@ -25,7 +25,7 @@ from ..physics.model import Model, State
 from ..physics.ready import step_at
 from ..physics.records import side_by_side
 from ..physics.step import Status
-from .guard import GOES_ON, SLEEPS, Guard, awake, broken, judge
+from .guard import GOES_ON, SLEEPS, Guard, awake, broken, judge, relaxed
 
 DONE, FALLS_ASLEEP, ASLEEP, TO_RESTORE, SUNK, REJECTED, BROKEN = range(7)
 """Why `advance` returned. The step is done: the body goes on, or has fallen asleep; or it sleeps, and nothing was
@@ -116,7 +116,7 @@ def advance(address: int, model: Model, state: State, body: Body, now: float, be
             return why
     if body.restored[0] != 0:
         body.status[0] |= _RESTORED
-    verdict = judge(guard, body.status[0], body.result, body.moves[0] != 0, dt)
+    verdict = judge(guard, body.status[0], body.result, body.moves[0] != 0, not relaxed(state), dt)
     return DONE if verdict == GOES_ON else FALLS_ASLEEP if verdict == SLEEPS else TO_RESTORE
 
 

@@ -117,8 +117,21 @@ def answers(scene: Scene, orientations: tuple[str, ...] = ("flat", "side", "tip"
 
 
 def at_rest(scene: Scene) -> Scene:
-    """The scene as it is pressed: SETTING, and CALM where it has limits."""
-    return scene.with_values(SETTING | (CALM if scene.limits is not None else {}))
+    """The scene as it is pressed: SETTING, and CALM where it has limits; stress that relaxes has done so."""
+    return faded(scene).with_values(SETTING | (CALM if scene.limits is not None else {}))
+
+
+def faded(scene: Scene) -> Scene:
+    """The scene once all that relaxes has faded; limits and plane as stiff as before."""
+    material = scene.material.lasting
+    if material == scene.material:
+        return scene
+    values: dict[str, Any] = {f"material.{name}": getattr(material, name) for name in ("young", "poisson")}
+    values["material.relaxation"] = []
+    for name, part in (("limits", scene.limits), ("plane", scene.plane)):
+        if part is not None and part.stiffness is not None:
+            values[f"{name}.stiffness"] = part.stiffness * scene.material.young / material.young
+    return scene.with_values(values)
 
 
 class Press:

@@ -19,7 +19,7 @@ from ..scene.ros_values import from_ros, to_ros
 SCENE_KEYS: Mapping[str, Field] = {name: spec for name, spec, _ in dotted(Scene)}
 OWN_KEYS: Mapping[str, Field] = specs(NodeOptions)
 NODE_GROUP, TOP_GROUP = "node", "scene"
-_KINDS = {"float": "number", "int": "number", "bool": "bool", "text": "text", "choice": "choice"}
+_KINDS = {"float": "number", "int": "number", "bool": "bool", "text": "text", "choice": "choice", "parts": "text"}
 _WIDE = 1e3
 """Range of a parameter, highest by lowest value, from which on its slider is logarithmic."""
 
@@ -87,8 +87,8 @@ class Values:
 
     def _shown(self, name: str) -> Any:
         value = self.plain(name)
-        if isinstance(value, dict):
-            return yaml.safe_dump(value, default_flow_style=True).strip()
+        if isinstance(value, dict) or spec_of(name).kind == "parts":
+            return yaml.safe_dump(value, default_flow_style=True, sort_keys=False).strip()
         return list(value) if isinstance(value, tuple) else value
 
     def _item(self, name: str, each: Described) -> dict[str, Any]:

@@ -95,6 +95,20 @@ def test_descriptors_say_what_the_field_says(parameter):
         assert (span.from_value, span.to_value) == (spec.low, spec.high)
 
 
+def test_a_list_of_blocks_is_a_text():
+    """Terms of relaxation go to ROS as their YAML, and back; what is no such text is refused by name and place."""
+    text = "[{time: 0.07, share: 0.3}]"
+    scene = parameters.scene_from(SCENE, {"material.relaxation": text})
+    (parameter,) = (p for p in scene.parameters() if p.name == "material.relaxation")
+    assert [(term.time, term.share) for term in parameter.value] == [(0.07, 0.3)]
+    assert to_ros(parameter.value, parameter.spec) == text
+    assert parameters.descriptor(parameter).read_only
+    for bad, place in (("[{time: 0.07}]", "[0].share"), ("0.3", ""), ("[{time", ""), ("", "")):
+        with pytest.raises(SceneError, match="allowed") as caught:
+            parameters.scene_from(SCENE, {"material.relaxation": bad})
+        assert caught.value.key == f"material.relaxation{place}"
+
+
 def test_defaults_of_the_options_are_allowed():
     """The node starts with no override at all."""
     assert parameters.options_from({}) == NodeOptions()

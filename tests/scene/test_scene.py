@@ -29,6 +29,8 @@ FULL: dict[str, Any] = {
         "poisson": 0.3,
         "volumetric": "patch",
         "damping": {"mass": 0.5, "stiffness": 0.01},
+        "relaxation": [{"time": 0.004, "share": 0.3}, {"time": 1.5, "share": 0.2}],
+        "relaxes": "stress",
     },
     "limits": {
         "projection": "hyperbolic",
@@ -127,7 +129,7 @@ def wrapped(spec: Field, number: Any) -> Any:
 def out_of_range() -> Iterator[tuple[str, Any, Any]]:
     """Key, the value next beyond a bound of it, and the bound."""
     for key, spec in KEYS.items():
-        if spec.kind in ("text", "choice", "bool"):
+        if spec.kind in ("text", "choice", "bool", "parts"):
             continue
         whole = spec.kind in ("int", "cells")
         for bound, step in ((spec.low, -1), (spec.high, +1)):
@@ -151,7 +153,7 @@ def test_every_bound_is_kept() -> None:
         assert all(word in str(error) for word in (key, "got", "allowed")), error
 
 
-NUMBERS = [key for key, spec in KEYS.items() if spec.kind not in ("text", "choice", "bool")]
+NUMBERS = [key for key, spec in KEYS.items() if spec.kind not in ("text", "choice", "bool", "parts")]
 ARRAYS = [key for key, spec in KEYS.items() if spec.kind in ("vec3", "cells", "quaternion", "limit3")]
 TEXTS = [key for key, spec in KEYS.items() if spec.kind in ("text", "choice") and key != "driven"]
 
@@ -178,7 +180,7 @@ def test_wrong_number_of_components() -> None:
 
 def test_texts_and_choices() -> None:
     """A text or choice key refuses anything else; a choice names what there is to choose from."""
-    assert len(TEXTS) == 7
+    assert len(TEXTS) == 8
     for key in TEXTS:
         for bad in (3, 1.5, True, ["a"], {"a": 1}):
             assert refused_key(key, bad).key == key
@@ -186,6 +188,65 @@ def test_texts_and_choices() -> None:
             error = refused_key(key, "other")
             assert all(choice in error.allowed for choice in KEYS[key].choices), error
             assert refused_key(key, None).key == key
+
+
+@pytest.mark.parametrize(
+    ("bad", "key", "allowed"),
+    [
+        ([{"time": 0, "share": 0.3}], "[0].time", "[1e-05, 100000] s"),
+        ([{"time": 1, "share": 0.3}, {"time": 1, "share": 1.0}], "[1].share", "[0, 0.999]"),
+        ([{"time": 1, "share": math.nan}], "[0].share", "[0, 0.999]"),
+        ([{"time": "1", "share": 0.1}], "[0].time", "a number"),
+        ([{"time": 1}], "[0].share", "missing"),
+        ([{"time": 1, "share": 0.1, "g": 2}], "[0].g", "no such key"),
+        ([[1, 0.3]], "[0]", "keys time, share"),
+        ([{"time": 1, "share": 0.6}, {"time": 2, "share": 0.4}], "", "less than 1 together"),
+        ([{"time": 1, "share": 0.1}] * 9, "", "at most 8"),
+        ({"time": 1, "share": 0.3}, "", "a list"),
+        (None, "", "a list"),
+        ("x", "", "a list"),
+    ],
+)
+def test_relaxation_that_cannot_be(bad: Any, key: str, allowed: str) -> None:
+    """The place in the list, the value, and what is allowed."""
+    error = refused_key("material.relaxation", bad)
+    assert error.key == f"material.relaxation{key}"
+    assert allowed in error.allowed
+    assert "got" in str(error)
+
+
+def test_a_mistake_in_a_list_is_found_in_the_file(tmp_path: Path) -> None:
+    """Line and column of the value, with a caret below it."""
+    path = tmp_path / "soft.yaml"
+    terms = "    - {time: 0.1, share: 0.3}\n    - {time: -1, share: 0}\n"
+    path.write_text(f"mesh: {{beam: {{}}}}\nmaterial:\n  relaxation:\n{terms}")
+    with pytest.raises(SceneError, match=r"soft.yaml, line 5, column 14: material.relaxation\[1\].time: got -1"):
+        Scene.load(path)
+
+
+@pytest.mark.parametrize("relaxes", ["deviator", "stress"])
+def test_what_lasts_of_a_material(relaxes: str) -> None:
+    """μ falls to the part that shares leave; K stays, or falls alike, and ν with it."""
+    terms = [{"time": 0.004, "share": 0.3}, {"time": 1.5, "share": 0.2}]
+    given = {"young": 2e4, "poisson": 0.3, "relaxation": terms, "relaxes": relaxes}
+    lasting = Scene.from_dict({"mesh": {"beam": {}}, "material": given}).material.lasting
+    shear, bulk = 2e4 / 2.6, 2e4 / 1.2 * (0.5 if relaxes == "stress" else 1.0)
+    assert lasting.young / (2.0 * (1.0 + lasting.poisson)) == pytest.approx(0.5 * shear)
+    assert lasting.young / (3.0 * (1.0 - 2.0 * lasting.poisson)) == pytest.approx(bulk)
+    assert lasting.relaxation == ()
+    assert Material().lasting == Material()
+
+
+def test_the_relaxing_finger_becomes_the_everyday_one() -> None:
+    """In the end it has the moduli of finger_haptic, and its limits and contact were as stiff all the time."""
+    soft, everyday = Scene.load("finger_relaxing"), Scene.load("finger_haptic")
+    lasting = soft.material.lasting
+    assert lasting.young == pytest.approx(everyday.material.young, rel=1e-4)
+    assert lasting.poisson == pytest.approx(everyday.material.poisson, rel=1e-4)
+    for name in ("limits", "plane"):
+        stiffness, wanted = getattr(soft, name).stiffness, getattr(everyday, name).stiffness
+        assert stiffness * soft.material.young == pytest.approx(wanted * everyday.material.young, rel=1e-4)
+    assert [term.time for term in soft.material.relaxation] == [0.004, 0.07, 1.4]
 
 
 def test_whole_numbers_are_whole() -> None:

@@ -65,7 +65,7 @@ def test_info_finds_shipped_meshes(here: Path, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize("name", ["nothing", "no/where.yaml", "a\0b", "~nobody/x", "x" * 5000], ids=range(5))
 def test_what_is_not_there_is_said_with_what_ships(here: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     """No traceback: an error that lists the names there are, of scenes, bags and meshes."""
-    with pytest.raises(SceneError, match=r"finger_haptic, finger_paper, presets/balanced"):
+    with pytest.raises(SceneError, match=r"finger_haptic, finger_paper, finger_relaxing, presets/balanced"):
         Scene.load(name)
     with pytest.raises(BagError, match=r"no such bag.*press_flat, press_side, press_slide$"):
         find_bag(name)

@@ -93,6 +93,11 @@ def parameters() -> Iterator[Case]:
     yield from _both("locking", "locking_0.499", material={"poisson": 0.499}, limits=tight)
     for nu in (0.45, 0.4999):
         yield from _both("patches", f"patches_{nu:g}", material={"volumetric": "patch", "poisson": nu})
+    for time in (1e-5, 0.05, 1e5):
+        terms = [{"time": time, "share": 0.6}, {"time": 1.4, "share": 0.3}]
+        yield from _both("relaxation", f"relaxation_{time:g}", material={"relaxation": terms})
+    whole = {"relaxation": [{"time": 0.05, "share": 0.999}], "relaxes": "stress", "volumetric": "patch"}
+    yield from _both("relaxation", "relaxation_of_all", material=whole)
 
 
 def bodies() -> Iterator[Case]:

@@ -36,6 +36,9 @@ def fuzz_case(seed: int, index: int) -> Case:
         "dt": dt,
         "coupling": {"max_speed": draw.log(0.1, 100.0), "max_angular_speed": draw.log(1.0, 1e3)},
     }
+    own = _Draw(np.random.default_rng([seed, index, 1]))  # what other draws of the same case do not depend on
+    if own.chance(0.25):
+        scene["material"] |= own.relaxation()
     scene["gravity"] = [0.0, 0.0, 0.0] if draw.chance(0.3) else [0.0, 0.0, -9.81]
     rigid = scene["solver"]["method"] == "pgs"
     if draw.chance(0.75):
@@ -84,6 +87,12 @@ class _Draw:
             "damping": damping,
             "volumetric": self.one_of("element", "patch"),
         }
+
+    def relaxation(self) -> dict[str, Any]:
+        """One to four terms, together up to all but a thousandth of the stress."""
+        shares = self.rng.dirichlet(np.ones(1 + self.rng.integers(1, 5)))[1:] * 0.999
+        terms = [{"time": self.log(1e-5, 1e5), "share": float(share)} for share in shares]
+        return {"relaxation": terms, "relaxes": self.one_of("deviator", "stress")}
 
     def solver(self) -> dict[str, Any]:
         if self.chance(0.4):

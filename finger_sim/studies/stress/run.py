@@ -233,14 +233,18 @@ def let_go(scene: Scene, sim: Simulator, make: MakeSimulator) -> float:
     """Largest |stretch − 1| left once the body is whole, or after LET_GO steps.
 
     A step is one fifth of the time sound takes across the body, 0.1 s at most. The body is as it is now, with gravity,
-    plane and motion gone, and damped. 0 where sound takes more than 5 s.
+    plane and motion gone, and damped; its stress does not relax. 0 where sound takes more than 5 s.
     """
     material = scene.material
     crossing = Body(scene, sim.mesh).size * (material.density / material.young) ** 0.5
     if crossing > 5.0:
         return 0.0
     calm = scene.to_dict() | {"gravity": [0.0, 0.0, 0.0], "plane": None, "dt": min(max(1e-6, 0.2 * crossing), 0.1)}
-    calm["material"] = {**calm["material"], "damping": {"mass": min(1e6, 1.0 / crossing), "stiffness": 0.0}}
+    calm["material"] = {
+        **calm["material"],
+        "relaxation": [],
+        "damping": {"mass": min(1e6, 1.0 / crossing), "stiffness": 0.0},
+    }
     free = make(Scene.from_dict(calm))
     free.reset(sim.pose)
     free.set_state(sim.positions, np.zeros_like(sim.positions))

@@ -62,7 +62,8 @@ class Watch:
         self._contacts = surface[self.body.free[surface]]
         self._stale = False  # whether what is kept is older than the step before
         self._keep()
-        known = self._exact and one_orientation and not settles
+        fades = bool(scene.material.relaxation)  # what is stored then is not to be seen in where the nodes are
+        known = self._exact and one_orientation and not settles and not fades
         self._ledger = Ledger(scene, self.body, self._moment()) if known else None
 
     def _begin_again(self) -> None:

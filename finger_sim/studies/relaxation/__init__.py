@@ -1,0 +1,1 @@
+"""Does the finger's force fade as a fingertip's does?"""
