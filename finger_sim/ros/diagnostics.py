@@ -6,6 +6,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from ..bags.layout import status_name
 from ..haptics.budget import claimed
 from ..haptics.passivity import stable_stiffness
 from ..simulation.touch import Imprint
@@ -24,9 +25,15 @@ SLOW_COMMANDS = 100.0
 
 
 class Reporter:
-    """Makes a DiagnosticArray of the time since the last one; called from one thread."""
+    """Makes a DiagnosticArray of the time since the last one; called from one thread.
 
-    def __init__(self, loop: Ticker, stepper: Stepper, outputs: Outputs, inbox: Inbox, graph: GraphWatch) -> None:
+    node : its full name
+    """
+
+    def __init__(
+        self, node: str, loop: Ticker, stepper: Stepper, outputs: Outputs, inbox: Inbox, graph: GraphWatch
+    ) -> None:
+        self._name = status_name(node)
         self._loop, self._stepper, self._outputs, self._inbox = loop, stepper, outputs, inbox
         self._graph = graph
         self._before: StepCounts | None = None
@@ -49,7 +56,7 @@ class Reporter:
         level = max((level for level, _ in problems), default=0)
         status = DiagnosticStatus(
             level=bytes([level]),
-            name="finger: simulation",
+            name=self._name,
             hardware_id="finger_sim",
             message="; ".join(text for _, text in problems) or "ok",
             values=[KeyValue(key=key, value=value) for key, value in values.items()],

@@ -108,7 +108,8 @@ class FingerNode(Node):  # type: ignore[misc]
         self.add_on_set_parameters_callback(self._on_set)
         graph = GraphWatch(self, self._inbox.subscriptions)
         self._scenery = Scenery(self._outputs, self._loop.shown)
-        self._reporter = Reporter(self._loop, self._stepper, self._outputs, self._inbox, graph)
+        name = self.get_fully_qualified_name()
+        self._reporter = Reporter(name, self._loop, self._stepper, self._outputs, self._inbox, graph)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
         for text in (*parameters.unused_qualities(overrides, self), *unreached(given, self)):
