@@ -28,7 +28,7 @@ class Eye:
         self._ground, self._moved = Ground(), False
         self._command: tuple[float, ...] | None = None
         self._device: tuple[float, ...] | None = None
-        self._plane_moves = self._others_command = True
+        self._plane_moves = True
         self._virtual = False
         self.take(values, moved=True)
 
@@ -51,7 +51,7 @@ class Eye:
     def look_for(self, link: Link) -> None:
         """Nothing is taken from topics on which nobody sends."""
         self._plane_moves = link.senders("plane_pose") > 0
-        self._others_command = link.senders("command_pose") > 1
+        link.look_for_others()
 
     def commanded(self, pose: Pose) -> None:
         """A page sent the finger there."""
@@ -68,12 +68,11 @@ class Eye:
         if self._plane_moves:
             for data in link.taken("plane_pose"):
                 self._move_plane(_pose(data, self._world))
-        if self._others_command:
-            for data in link.taken("command_pose"):
-                pose = _pose(data, self._world)
-                if pose is not None:
-                    self.commanded(pose)
-        for data in link.taken("device_wrench"):
+        for data in link.taken("command_pose"):
+            pose = _pose(data, self._world)
+            if pose is not None:
+                self.commanded(pose)
+        for data in link.taken("device_wrench_throttle"):
             self._device = read_wrench(data)[1]
         picture = self._painter.paint(cloud, 1e-9 * cloud.stamp, self._ground)
         picture.command, picture.device, picture.virtual = self._command, self._device, self._virtual

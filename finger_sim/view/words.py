@@ -9,8 +9,6 @@ from typing import Any
 
 from ..physics.step import Status
 
-NAME = "finger: simulation"
-"""Of the status of finger_sim's node in an array of diagnostics."""
 LEVELS = ("info", "warn", "error")
 TEXTS: Mapping[Status, tuple[str, str]] = {
     Status.NONFINITE: ("error", "a step gave no finite numbers and was not taken"),
@@ -25,8 +23,6 @@ TEXTS: Mapping[Status, tuple[str, str]] = {
 }
 """What each bit means, and how grave it is."""
 
-FED_SLOWLY = "a device is fed"
-"""How the node's warning begins that commands come slower than a device wants. A page that holds the finger is none."""
 _SEVERAL = re.compile(r"; (?!send )")
 """Between two problems; within one of them the node writes `; send …`, too."""
 

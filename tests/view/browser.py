@@ -43,6 +43,7 @@ class Tab:
         coarse = {} if os.environ.get(FOLDER) else {"device_scale_factor": 0.5}
         self.context = browser.new_context(**({"viewport": SMALL} | coarse | options))
         self.page: Page = self.context.new_page()
+        self.page.set_default_timeout(1e3 * WITHIN)
         self.errors: list[str] = []
         self.requests: list[str] = []
         self.page.on("console", self._console)

@@ -185,6 +185,7 @@ class Stub:
         self.holder: int | None = None
         self.phase, self.message = "running", "ok"
         self.mute = False
+        self.recorded: list[dict[str, Any]] = []
         self.time, self.playing, self.speed, self.duration = 0.0, False, 1.0, 6.0
         self.script: Callable[[float], list[float]] | None = None
         self._clients: dict[int, ServerConnection] = {}
@@ -252,14 +253,15 @@ class Stub:
     async def _client(self, connection: ServerConnection) -> None:
         self._number += 1
         me = self._number
-        bag = {"bag": {"name": "press_slide", "duration": self.duration}} if self.source == "bag" else {}
+        more = {"bag": {"name": "press_slide", "duration": self.duration}} if self.source == "bag" else {}
+        more |= {"recorded": self.recorded}
         hello = {
-            "type": "hello", "version": 1, "source": self.source, "title": "finger_haptic", "client": me,
+            "type": "hello", "version": 2, "source": self.source, "title": "finger_haptic", "client": me,
             "drive": self.source == "node", "scenes": ["finger", "finger_coupled", "finger_haptic"],
             "scene": "finger_haptic",
         }  # fmt: skip
         with contextlib.suppress(ConnectionClosed):
-            await connection.send(json.dumps(hello | bag))
+            await connection.send(json.dumps(hello | more))
             await connection.send(self.finger.topology())
             items = [entry | {"value": self._values[entry["name"]]} for entry in ITEMS]
             await connection.send(json.dumps({"type": "parameters", "items": items}))
@@ -268,8 +270,11 @@ class Stub:
             if self.source == "bag":
                 await connection.send(json.dumps(self._position()))
             self._clients[me], self._acked[me], self._sent[me] = connection, 0, 0
-            async for text in connection:
-                await self._heard(me, json.loads(text))
+            async for data in connection:
+                if isinstance(data, str):
+                    await self._heard(me, json.loads(data))
+                else:
+                    self._drawn(me, data)
         self._clients.pop(me, None)
         if self.holder == me:
             self.holder = None
@@ -278,16 +283,10 @@ class Stub:
     async def _heard(self, me: int, message: dict[str, Any]) -> None:
         kind = message["type"]
         self.said.setdefault(kind, []).append(message | {"client": me})
-        if kind == "ack":
-            self._acked[me] = message["seq"]
-        elif kind == "take" and self.holder is None:
+        if kind == "take" and self.holder is None:
             self.holder = me
         elif kind == "release" and self.holder == me:
             self.holder = None
-        elif kind == "pose" and self.holder == me:
-            before = np.array(self.finger.command)
-            self.finger.command = [*message["position"], *message["orientation"]]
-            self.finger.move(0.0, before)
         elif kind == "reset":
             self.finger.reset()
         elif kind == "seek":
@@ -297,9 +296,8 @@ class Stub:
         elif kind == "record":
             self._recording = message["on"]
             if not self._recording:
-                await self._tell(
-                    {"type": "recorded", "name": "press.mcap", "url": "/recordings/press.mcap", "bytes": 4}
-                )
+                self.recorded.append({"name": "press.mcap", "url": "/recordings/press.mcap", "bytes": 4})
+                await self._tell({"type": "recorded"} | self.recorded[-1])
         elif kind == "yaml":
             await self._tell({"type": "yaml", "text": "mesh: {file: finger.vtu}\n", "name": "finger_haptic"})
         elif kind == "set":
@@ -308,6 +306,17 @@ class Stub:
             await self._tell({"type": "handle", "holder": self.holder})
         if kind in ("play", "seek"):
             await self._tell(self._position())
+
+    def _drawn(self, me: int, data: bytes) -> None:
+        """A page has drawn a frame, and maybe sends the finger somewhere."""
+        kind, self._acked[me] = struct.unpack_from("<2I", data)
+        assert (kind, len(data)) in ((1, 8), (2, 64))
+        if kind == 2:
+            pose = list(struct.unpack_from("<7d", data, 8))
+            self.said.setdefault("pose", []).append({"position": pose[:3], "orientation": pose[3:], "client": me})
+            if self.holder == me:
+                before, self.finger.command = np.array(self.finger.command), pose
+                self.finger.move(0.0, before)
 
     async def _set(self, name: str, value: Any) -> None:
         if name == "plane.friction" and value > 100.0:

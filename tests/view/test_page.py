@@ -21,6 +21,14 @@ navigator.getGamepads = () => [{
 """A gamepad that a browser without one has."""
 
 
+NO_WEBGL = """
+const getContext = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+  return kind.startsWith("webgl") ? null : getContext.call(this, kind, ...more);
+};
+"""
+
+
 def heights(stub: Any) -> np.ndarray:
     return np.array([position[2] for position in stub.poses])
 
@@ -127,6 +135,20 @@ def test_a_window_that_is_left_lets_go(stub: Any, open_tab: Any) -> None:
     tab.page.evaluate("window.dispatchEvent(new Event('blur'))")
     tab.until(lambda data: data["handle"] == "free")
     until(lambda: stub.holder is None, tab)
+
+
+def test_a_browser_that_cannot_draw_shows_numbers(stub: Any, open_tab: Any) -> None:
+    """Without WebGL the force goes on being told and plotted, the page says what is missing, and values can be set."""
+    tab = open_tab(stub.url, before=NO_WEBGL)
+    stub.finger.command[2] -= 0.004
+    tab.until(lambda data: float(data["force"] or 0) > 1.0 and int(data["seq"]) > 20)
+    assert "no WebGL" in tab.text(".nowebgl")
+    assert float(tab.text("#value-normal")) > 1.0
+    tab.page.locator("[data-group=often] [data-name='plane.friction'] input[type=range]").focus()
+    tab.page.keyboard.press("ArrowRight")
+    until(lambda: "set" in stub.said, tab)
+    assert all("WebGL" in error for error in tab.errors)
+    tab.errors.clear()
 
 
 def test_parameters_are_set_and_put_back(stub: Any, open_tab: Any) -> None:
@@ -291,6 +313,9 @@ def test_buttons(stub: Any, open_tab: Any) -> None:
     with tab.page.expect_download() as download:
         link.click()
     assert download.value.suggested_filename == "press.mcap"
+    tab.page.reload()
+    link.wait_for()
+    tab.live()
     tab.page.locator("#scene").select_option("finger_coupled")
     tab.page.locator("#yaml").click()
     text = tab.page.locator("#yaml-text")
