@@ -309,21 +309,15 @@ def test_a_node_of_somebody_else(others, tmp_path: Path) -> None:
                 others.start()
 
 
-def test_a_node_that_is_not_there(tmp_path: Path) -> None:
-    """The page says which is waited for, and where."""
-    domain = next(DOMAINS)
-    with Viewer(tmp_path, "--join", "--node", "right/finger", domain=domain) as viewer, Page(viewer.port) as page:
-        told = f"no node /right/finger is heard in ROS_DOMAIN_ID {domain}"
-        page.until(lambda: told in state(page).get("message", ""))
-
-
 def test_a_page_beside_something(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It only looks, its address is said, and it ends with what it is beside."""
-    with page_beside(next(DOMAINS), tmp_path / "log"):
+    """It only looks, its address is said, it says where no node is heard, and ends with what it is beside."""
+    domain = next(DOMAINS)
+    with page_beside(domain, tmp_path / "log"):
         url = capsys.readouterr().err.partition("the page: ")[2].strip()
         port = int(url.rpartition(":")[2].strip("/"))
         with Page(port) as page:
             assert page.next("hello")["drive"] is False
+            page.until(lambda: f"no node /finger is heard in ROS_DOMAIN_ID {domain}" in state(page).get("message", ""))
     with pytest.raises(ConnectionRefusedError):
         Page(port)
 

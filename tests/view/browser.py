@@ -29,6 +29,23 @@ WITHIN = 60.0
 """Longest wait for any condition [s]: this is drawn in software, maybe on half a core."""
 
 
+FRESH = """() => {
+  document.querySelectorAll("dialog[open]").forEach((each) => each.close());
+  document.querySelectorAll("details").forEach((each) => (each.open = each.matches(".group:first-child")));
+  document.querySelectorAll("main :is([type=radio], [type=checkbox])").forEach((each) => {
+    if (each.checked !== each.defaultChecked && (each.type === "checkbox" || each.defaultChecked)) each.click();
+  });
+  const filter = document.querySelector("#filter");
+  filter.value = "";
+  filter.dispatchEvent(new Event("input"));
+  document.querySelectorAll("#notices button").forEach((each) => each.click());
+  document.querySelector("[data-look=reset]").click();
+  document.body.tabIndex = -1;
+  document.body.focus(); // from here on Tab goes through the page
+  document.body.removeAttribute("tabindex");
+}"""
+
+
 def launch(playwright: Playwright) -> Browser:
     """Raises playwright's Error where there is no Chromium."""
     return playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
@@ -58,6 +75,11 @@ class Tab:
         # Chromium itself reports each try to connect while there is no server.
         if message.type in ("error", "warning") and "ERR_CONNECTION" not in message.text:
             self.errors.append(message.text)
+
+    def fresh(self) -> None:
+        """As it was opened: view, choices, layers, filter, focus; nothing is held."""
+        self.page.evaluate(FRESH)
+        self.live().until(lambda data: data["handle"] == "free" and float(data["force"] or 9) == 0.0)
 
     @property
     def data(self) -> dict[str, str]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import json
 import math
 import struct
@@ -25,6 +26,7 @@ from websockets.http11 import Request, Response
 
 import finger_sim
 from finger_sim import Scene
+from finger_sim.scene.mesh import TetMesh
 
 BUNDLE = Path(finger_sim.__file__).parent / "view" / "bundle"
 POLICY = (
@@ -44,12 +46,18 @@ def rotated(q: Any, v: Any) -> Any:
     return v + q[3] * t + np.cross(q[:3], t)
 
 
+@functools.cache
+def shipped() -> tuple[Scene, TetMesh]:
+    """What the made-up finger is made of."""
+    scene = Scene.load("finger_haptic")
+    return scene, scene.load_mesh()
+
+
 class Finger:
     """A finger that is flat where it would be in the plane, and a force that grows with the depth."""
 
     def __init__(self) -> None:
-        scene = Scene.load("finger_haptic")
-        mesh = scene.load_mesh()
+        scene, mesh = shipped()
         self.rest, self.triangles, self.tets, self.axes = mesh.points, mesh.surface, mesh.tets, mesh.axes
         self.marks = np.zeros(len(self.rest), np.uint8)
         for name, mark in MARKS.items():
@@ -183,17 +191,14 @@ class Stub:
         self.said: dict[str, list[dict[str, Any]]] = {}
         self.origins: list[str | None] = []
         self.holder: int | None = None
-        self.phase, self.message = "running", "ok"
-        self.mute = False
         self.recorded: list[dict[str, Any]] = []
         self.time, self.playing, self.speed, self.duration = 0.0, False, 1.0, 6.0
-        self.script: Callable[[float], list[float]] | None = None
+        self.forget()
         self._clients: dict[int, ServerConnection] = {}
         self._acked: dict[int, int] = {}
         self._sent: dict[int, int] = {}
         self._number = 0
         self._recording = False
-        self._values = {entry["name"]: entry["value"] for entry in ITEMS}
         self._ready = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self.start()
@@ -201,6 +206,14 @@ class Stub:
     @property
     def url(self) -> str:
         return f"http://127.0.0.1:{self.port}/"
+
+    def forget(self) -> None:
+        """The finger is as at first, and nothing was said."""
+        self.finger.reset()
+        self.phase, self.message, self.mute = "running", "ok", False
+        self.script: Callable[[float], list[float]] | None = None
+        self.values = {entry["name"]: entry["value"] for entry in ITEMS}
+        self.said.clear()
 
     def start(self) -> None:
         self._ready.clear()
@@ -263,7 +276,7 @@ class Stub:
         with contextlib.suppress(ConnectionClosed):
             await connection.send(json.dumps(hello | more))
             await connection.send(self.finger.topology())
-            items = [entry | {"value": self._values[entry["name"]]} for entry in ITEMS]
+            items = [entry | {"value": self.values[entry["name"]]} for entry in ITEMS]
             await connection.send(json.dumps({"type": "parameters", "items": items}))
             await connection.send(json.dumps(self._status()))
             await connection.send(json.dumps({"type": "handle", "holder": self.holder}))
@@ -322,7 +335,7 @@ class Stub:
         if name == "plane.friction" and value > 100.0:
             await self._tell({"type": "notice", "level": "warn", "text": "plane.friction: 0 to 100 is allowed"})
             return
-        self._values[name] = value
+        self.values[name] = value
         if name == "plane.friction":
             self.finger.friction = value
         elif name == "plane.point":

@@ -66,9 +66,9 @@ def test_a_drag_presses_and_lets_go(stub: Any, open_tab: Any) -> None:
     assert stub.said["release"]
 
 
-def test_a_drag_moves_in_the_plane_of_the_view(stub: Any, open_tab: Any) -> None:
+def test_a_drag_moves_in_the_plane_of_the_view(shared: Any) -> None:
     """Looked at from the side, right is along the finger and nothing across."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     tab.page.locator("[data-look=side]").click()
     tab.redrawn()
     x, y = tab.finger()
@@ -80,9 +80,9 @@ def test_a_drag_moves_in_the_plane_of_the_view(stub: Any, open_tab: Any) -> None
     tab.page.mouse.up()
 
 
-def test_the_right_button_and_the_ring_turn(stub: Any, open_tab: Any) -> None:
+def test_the_right_button_and_the_ring_turn(shared: Any) -> None:
     """The finger turns about its own origin."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     x, y = tab.finger()
     first = stub.finger.command[3:]
     tab.page.mouse.move(x, y)
@@ -127,9 +127,9 @@ def test_one_page_at_a_time_holds(stub: Any, open_tab: Any) -> None:
     assert stub.holder is None
 
 
-def test_a_window_that_is_left_lets_go(stub: Any, open_tab: Any) -> None:
+def test_a_window_that_is_left_lets_go(shared: Any) -> None:
     """As when another program comes to the front."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     tab.page.locator("#hold").click()
     tab.until(lambda data: data["handle"] == "mine")
     tab.page.evaluate("window.dispatchEvent(new Event('blur'))")
@@ -151,9 +151,9 @@ def test_a_browser_that_cannot_draw_shows_numbers(stub: Any, open_tab: Any) -> N
     tab.errors.clear()
 
 
-def test_parameters_are_set_and_put_back(stub: Any, open_tab: Any) -> None:
+def test_parameters_are_set_and_put_back(shared: Any) -> None:
     """By slider and number field, with what is refused said and put back."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     field = tab.page.locator("[data-group=often] [data-name='plane.friction']")
     field.locator("input[type=range]").focus()
     tab.page.keyboard.press("ArrowRight")
@@ -179,9 +179,9 @@ def test_parameters_are_set_and_put_back(stub: Any, open_tab: Any) -> None:
     until(lambda: "step 0.42 ms" in level.inner_text() and "0.01 % rms" in level.inner_text(), tab)
 
 
-def test_the_plane_is_tilted_and_raised(stub: Any, open_tab: Any) -> None:
+def test_the_plane_is_tilted_and_raised(shared: Any) -> None:
     """By sliders that say it as people think of it."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     tab.page.locator("[data-name='Plane height'] input").fill("2.5")
     until(lambda: "set" in stub.said, tab)
     assert stub.said["set"][-1]["name"] == "plane.point"
@@ -194,9 +194,9 @@ def test_the_plane_is_tilted_and_raised(stub: Any, open_tab: Any) -> None:
     tab.keep("tilted")
 
 
-def test_the_filter_finds_by_meaning(stub: Any, open_tab: Any) -> None:
+def test_the_filter_finds_by_meaning(shared: Any) -> None:
     """Words of a name or of what it means; nothing found is said."""
-    tab = open_tab(stub.url).live()
+    _, tab = shared
     tab.page.locator("#filter").fill("coulomb")
     shown = tab.page.locator("#groups .field:visible")
     assert [each.get_attribute("data-name") for each in shown.all()] == ["plane.friction"]
@@ -206,9 +206,9 @@ def test_the_filter_finds_by_meaning(stub: Any, open_tab: Any) -> None:
     assert shown.count() > 5
 
 
-def test_strain_is_seen(stub: Any, open_tab: Any) -> None:
+def test_strain_is_seen(shared: Any) -> None:
     """A pressed finger has other pixels than a free one, and so has each quantity that colour shows."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     for layer in ("contacts", "forces", "nail"):
         tab.page.evaluate(f"document.querySelector('[data-layer={layer}]').click()")
     free = tab.picture()
@@ -228,9 +228,9 @@ def test_strain_is_seen(stub: Any, open_tab: Any) -> None:
     assert tab.text("#legend-title") == "Displacement [mm]"
 
 
-def test_layers_are_drawn(stub: Any, open_tab: Any) -> None:
+def test_layers_are_drawn(shared: Any) -> None:
     """Each changes what is seen, and has its key where marks need one."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     stub.finger.command[2] -= 0.004
     tab.until(lambda data: int(data["sticks"] or 0) > 0)
     before = tab.picture()
@@ -280,9 +280,9 @@ def test_the_page_comes_back_by_itself(stub: Any, open_tab: Any) -> None:
     tab.until(lambda data: data["handle"] == "free" and data["force"] != "")
 
 
-def test_a_node_that_starts_or_is_gone_is_said(stub: Any, open_tab: Any) -> None:
+def test_a_node_that_starts_or_is_gone_is_said(shared: Any) -> None:
     """In words, with no number left from before."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     stub.phase, stub.message = "starting", "compiling: 40 %"
     tab.until(lambda data: data["condition"] == "starting" and data["force"] == "")
     assert tab.text("#veil-text") == "compiling: 40 %"
@@ -293,9 +293,9 @@ def test_a_node_that_starts_or_is_gone_is_said(stub: Any, open_tab: Any) -> None
     tab.until(lambda data: data["condition"] == "live" and data["force"] != "")
 
 
-def test_a_silent_server_is_said(stub: Any, open_tab: Any) -> None:
+def test_a_silent_server_is_said(shared: Any) -> None:
     """Its last numbers do not stay as if they were live."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     stub.mute = True
     tab.until(lambda data: data["condition"] == "silent" and data["force"] == "")
     stub.mute = False
@@ -349,9 +349,9 @@ def test_a_recording_is_played(stub: Any, open_tab: Any) -> None:
     tab.keep("recording")
 
 
-def test_a_virtual_coupling_has_a_ghost(stub: Any, open_tab: Any) -> None:
+def test_a_virtual_coupling_has_a_ghost(shared: Any) -> None:
     """The commanded pose and its spring are drawn, and have a key."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     stub.finger.command[2] -= 0.004
     tab.until(lambda data: float(data["force"] or 0) > 1.0)
     assert not tab.page.locator("#key-ghost").is_visible()
