@@ -186,10 +186,15 @@ def test_bad_messages_end_nothing(served) -> None:
 
 
 def test_a_message_in_parts_is_one(served) -> None:
-    """A text that comes in several frames."""
+    """A text that comes in several frames, and bytes."""
     with served.page() as page:
         page.socket.send(iter(['{"type": ', '"yaml"', "}"]))
         assert page.next("yaml")["name"] == "a.yaml"
+        page.say("take")
+        page.next("handle")
+        data = struct.pack("<2I7d", 2, 0, *POSE)
+        page.socket.send(iter([data[:9], data[9:40], data[40:]]))
+        until(lambda: served.source.poses == [POSE])
 
 
 @for_each("size, code", [(65 * 1024, 1009), (2**21, 1009)])
