@@ -26,6 +26,9 @@ TEXTS: Mapping[Status, tuple[str, str]] = {
 _SEVERAL = re.compile(r"; (?!send )")
 """Between two problems; within one of them the node writes `; send …`, too."""
 
+_COUNTED = re.compile(r"([A-Z_|]+) in (\d+ of \d+ steps)")
+"""A problem that names status bits, and tells in how many steps one of them was set."""
+
 
 @dataclass
 class Report:
@@ -101,14 +104,20 @@ def status_of(report: Report, before: Report) -> dict[str, Any]:
 
 def words_of(report: Report) -> list[dict[str, str]]:
     """Its status bits in words, and its problems, of which those bits are some."""
-    status = report.status
-    found = [
-        {"code": bit.name or "", "text": text, "level": level} for bit, (level, text) in TEXTS.items() if bit & status
-    ]
-    problems = [] if report.message in ("", "ok") else _SEVERAL.split(report.message)
+    bits = {bit.name or "": said for bit, said in TEXTS.items() if bit & report.status}
+    often = dict.fromkeys(bits, "")
+    problems = []
+    for problem in [] if report.message in ("", "ok") else _SEVERAL.split(report.message):
+        counted = _COUNTED.fullmatch(problem)
+        if counted is not None and counted[1] in bits:
+            often[counted[1]] = f", in {counted[2]}"
+        elif counted is not None:
+            problems.append(f"one or several of these in {counted[2]}")
+        else:
+            problems.append(problem)
+    found = [{"code": name, "text": text + often[name], "level": level} for name, (level, text) in bits.items()]
     level = LEVELS[min(max(report.level, 0), 2)]
-    found += [{"code": "", "text": problem, "level": level} for problem in problems]
-    return found
+    return found + [{"code": "", "text": problem, "level": level} for problem in problems]
 
 
 def recording_of(report: Report) -> dict[str, Any]:

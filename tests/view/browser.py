@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import os
 import time
 from collections.abc import Callable
@@ -141,3 +142,28 @@ def until(condition: Callable[[], bool], tab: Tab, within: float = WITHIN) -> No
     while not condition():
         assert time.monotonic() < end, f"not within {within:g} s; the page tells {tab.data}"
         tab.page.wait_for_timeout(POLL)
+
+
+def assert_apart(tab: Tab, touch: bool) -> None:
+    """Nothing overlaps or is cut off: the head fits, and what lies over the view lies apart."""
+    size = tab.page.viewport_size
+    assert size is not None
+    assert tab.page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+    panel = tab.page.evaluate("document.querySelector('#side').scrollWidth")
+    assert panel <= tab.page.evaluate("document.querySelector('#side').clientWidth")
+    boxes = {}
+    for name in ("#overlay-left", "#overlay-views", "#legend", "#keys", "#hand"):
+        box = tab.page.locator(name).bounding_box()
+        assert box is not None
+        boxes[name] = box
+    for (one, a), (other, b) in itertools.combinations(boxes.items(), 2):
+        apart = (
+            a["x"] + a["width"] <= b["x"] or b["x"] + b["width"] <= a["x"]
+            or a["y"] + a["height"] <= b["y"] or b["y"] + b["height"] <= a["y"]
+        )  # fmt: skip
+        assert apart, (one, other, a, b)
+    for button in tab.page.locator("header button:visible, header select:visible").all():
+        box = button.bounding_box()
+        assert box is not None
+        assert box["x"] + box["width"] <= size["width"]
+        assert not touch or box["height"] >= 40

@@ -234,6 +234,11 @@ class Stub:
         asyncio.run_coroutine_threadsafe(self._tell(message), self._loop).result(5.0)
 
     @property
+    def pages(self) -> list[int]:
+        """Those that are open, by their numbers."""
+        return list(self._clients)
+
+    @property
     def poses(self) -> list[list[float]]:
         return [said["position"] for said in self.said.get("pose", [])]
 
@@ -263,18 +268,20 @@ class Stub:
         )
         return Response(HTTPStatus.OK, "OK", headers, body)
 
+    def hello(self, client: int) -> dict[str, Any]:
+        """What a page is told first."""
+        bag = {"bag": {"name": "press_slide", "duration": self.duration}} if self.source == "bag" else {}
+        return {
+            "type": "hello", "version": 2, "source": self.source, "title": "finger_haptic", "client": client,
+            "drive": self.source == "node", "scenes": ["finger", "finger_coupled", "finger_haptic"],
+            "scene": "finger_haptic", "recorded": self.recorded, **bag,
+        }  # fmt: skip
+
     async def _client(self, connection: ServerConnection) -> None:
         self._number += 1
         me = self._number
-        more = {"bag": {"name": "press_slide", "duration": self.duration}} if self.source == "bag" else {}
-        more |= {"recorded": self.recorded}
-        hello = {
-            "type": "hello", "version": 2, "source": self.source, "title": "finger_haptic", "client": me,
-            "drive": self.source == "node", "scenes": ["finger", "finger_coupled", "finger_haptic"],
-            "scene": "finger_haptic",
-        }  # fmt: skip
         with contextlib.suppress(ConnectionClosed):
-            await connection.send(json.dumps(hello | more))
+            await connection.send(json.dumps(self.hello(me)))
             await connection.send(self.finger.topology())
             items = [entry | {"value": self.values[entry["name"]]} for entry in ITEMS]
             await connection.send(json.dumps({"type": "parameters", "items": items}))

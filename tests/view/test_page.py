@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from view.browser import TABLET, TINY, WIDE, Tab, until
+from view.browser import TABLET, TINY, WIDE, Tab, assert_apart, until
 
 PAD = """
 window.padAxes = [0, 0, 0, 0]; window.padButtons = Array(17).fill(0); window.rumbles = [];
@@ -47,6 +47,7 @@ def press(tab: Tab, down: int = 60) -> None:
 def test_a_drag_presses_and_lets_go(stub: Any, open_tab: Any) -> None:
     """Poses that fall arrive at the server, the force rises and is shown; let go, the finger springs off the plane."""
     tab = open_tab(stub.url, viewport=WIDE).live()
+    assert_apart(tab, touch=False)
     tab.keep("free")
     press(tab)
     pressed = tab.until(lambda data: float(data["force"] or 0) > 2.0)
@@ -104,20 +105,22 @@ def test_the_right_button_and_the_ring_turn(shared: Any) -> None:
     tab.page.mouse.up()
 
 
-def test_one_page_at_a_time_holds(stub: Any, open_tab: Any) -> None:
+def test_one_page_at_a_time_holds(shared: Any, open_tab: Any) -> None:
     """The other says who does, offers nothing, and takes it when it is let go; one that closes in a drag lets go."""
-    one, two = open_tab(stub.url, **TINY).live(), open_tab(stub.url, **TINY).live()
+    stub, one = shared
+    two = open_tab(stub.url, **TINY).live()
     one.page.locator("#hold").click()
     one.until(lambda data: data["handle"] == "mine")
     two.until(lambda data: data["handle"] == "other")
-    assert two.text("#hand-text") == "Page 1 holds it"
+    first = stub.holder
+    assert two.text("#hand-text") == f"Page {first} holds it"
     assert two.page.locator("#hold").is_disabled()
     x, y = two.finger()
     two.page.mouse.move(x, y)
     two.page.mouse.down()
     two.page.mouse.move(x, y + 30, steps=3)
     two.page.mouse.up()
-    assert {said["client"] for said in stub.said["pose"]} == {1}
+    assert {said["client"] for said in stub.said["pose"]} == {first}
     one.page.locator("#hold").click()
     two.until(lambda data: data["handle"] == "free")
     press(two, 15)
@@ -244,9 +247,9 @@ def test_layers_are_drawn(shared: Any) -> None:
     tab.keep("layers")
 
 
-def test_sticking_and_slipping_are_told_apart(stub: Any, open_tab: Any) -> None:
+def test_sticking_and_slipping_are_told_apart(shared: Any) -> None:
     """In numbers beside marks of different shape."""
-    tab = open_tab(stub.url, viewport=WIDE).live()
+    stub, tab = shared
     stub.script = lambda now: [0.0, 0.03 * (now % 0.7), 0.0065, *stub.finger.command[3:]]
     tab.until(lambda data: int(data["slips"] or 0) > 3)
     slipping = tab.text("#key-slips")
@@ -255,9 +258,9 @@ def test_sticking_and_slipping_are_told_apart(stub: Any, open_tab: Any) -> None:
     tab.keep("slide")
 
 
-def test_the_page_comes_back_by_itself(stub: Any, open_tab: Any) -> None:
+def test_the_page_comes_back_by_itself(shared: Any) -> None:
     """A server that goes leaves no number behind; when it is back, the page is live again."""
-    tab = open_tab(stub.url, viewport=WIDE).live()
+    stub, tab = shared
     stub.finger.command[2] -= 0.004
     tab.until(lambda data: float(data["force"] or 0) > 1.0)
     tab.page.locator("#hold").click()
@@ -302,9 +305,9 @@ def test_a_silent_server_is_said(shared: Any) -> None:
     tab.until(lambda data: data["condition"] == "live" and data["force"] != "")
 
 
-def test_buttons(stub: Any, open_tab: Any) -> None:
-    """Reset, record with a bag to fetch, scene and YAML."""
-    tab = open_tab(stub.url).live()
+def test_buttons(shared: Any) -> None:
+    """Reset, record with a bag to fetch, which a page that comes later is told of; scene and YAML."""
+    stub, tab = shared
     tab.page.locator("#reset").click()
     tab.page.locator("#record").click()
     tab.until(lambda data: data["recording"] == "press")
@@ -313,9 +316,9 @@ def test_buttons(stub: Any, open_tab: Any) -> None:
     with tab.page.expect_download() as download:
         link.click()
     assert download.value.suggested_filename == "press.mcap"
-    tab.page.reload()
-    link.wait_for()
-    tab.live()
+    (page,) = stub.pages
+    stub.tell(stub.hello(page) | {"recorded": 2 * stub.recorded})
+    link.nth(1).wait_for()
     tab.page.locator("#scene").select_option("finger_coupled")
     tab.page.locator("#yaml").click()
     text = tab.page.locator("#yaml-text")
@@ -360,9 +363,10 @@ def test_a_virtual_coupling_has_a_ghost(shared: Any) -> None:
     tab.keep("coupled")
 
 
-def test_a_gamepad_moves_and_rumbles(stub: Any, open_tab: Any) -> None:
+def test_a_gamepad_moves_and_rumbles(shared: Any) -> None:
     """A stick moves in the plane, a trigger presses, the pad rumbles with the force, and B lets go."""
-    tab = open_tab(stub.url, before=PAD).live()
+    stub, tab = shared
+    tab.page.evaluate(PAD)
     tab.page.evaluate("window.padAxes[0] = 0.8")
     until(lambda: len(stub.poses) > 3 and np.ptp(np.array(stub.poses)[:, :2], axis=0).max() > 1e-3, tab)
     assert np.ptp(heights(stub)) < 1e-5
@@ -372,11 +376,13 @@ def test_a_gamepad_moves_and_rumbles(stub: Any, open_tab: Any) -> None:
     assert all(0.0 <= how["strongMagnitude"] <= 1.0 for how in rumbles)
     tab.page.evaluate("window.padButtons[7] = 0; window.padButtons[1] = 1")
     tab.until(lambda data: data["handle"] == "free" and float(data["force"] or 9) == 0.0)
+    tab.page.evaluate("delete navigator.getGamepads")
 
 
 def test_touch(stub: Any, open_tab: Any) -> None:
     """On a tablet: a tap chooses what a drag does, a finger on the glass presses the finger on the plane."""
     tab = open_tab(stub.url, viewport=TABLET, has_touch=True, is_mobile=True).live()
+    assert_apart(tab, touch=True)
     tab.page.locator("#drag label").nth(1).tap()
     x, y = tab.finger()
     client = tab.context.new_cdp_session(tab.page)

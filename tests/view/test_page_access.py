@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
-from view.browser import TABLET, WIDE, Tab, until
+from view.browser import WIDE, Tab, until
 
 LOOK_AT_TEXT = """() => {
   const numbers = (text) => (text.match(/[\\d.]+/g) || []).map(Number);
@@ -209,30 +208,3 @@ def test_keys_in_a_field_move_nothing(shared: Any) -> None:
     tab.redrawn()
     assert tab.page.locator("#filter").input_value() == "r friction"
     assert not {"reset", "take", "pose"} & stub.said.keys()
-
-
-@pytest.mark.parametrize(("size", "touch"), [(WIDE, False), (TABLET, True)])
-def test_nothing_overlaps_or_is_cut_off(stub: Any, open_tab: Any, size: Any, touch: bool) -> None:
-    """At both sizes that are promised: the head fits, and what lies over the view lies apart."""
-    tab = open_tab(stub.url, viewport=size, has_touch=touch, is_mobile=touch).live()
-    wide = tab.page.evaluate("document.documentElement.scrollWidth")
-    assert wide <= size["width"]
-    boxes = {}
-    for name in ("#overlay-left", "#overlay-views", "#legend", "#keys", "#hand"):
-        box = tab.page.locator(name).bounding_box()
-        assert box is not None
-        boxes[name] = box
-    names = list(boxes)
-    for k, one in enumerate(names):
-        for other in names[k + 1 :]:
-            a, b = boxes[one], boxes[other]
-            apart = (
-                a["x"] + a["width"] <= b["x"] or b["x"] + b["width"] <= a["x"]
-                or a["y"] + a["height"] <= b["y"] or b["y"] + b["height"] <= a["y"]
-            )  # fmt: skip
-            assert apart, (one, other, a, b)
-    for button in tab.page.locator("header button:visible, header select:visible").all():
-        box = button.bounding_box()
-        assert box is not None
-        assert box["x"] + box["width"] <= size["width"]
-        assert not touch or box["height"] >= 40
