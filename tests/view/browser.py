@@ -80,7 +80,12 @@ class Tab:
     def fresh(self) -> None:
         """As it was opened: view, choices, layers, filter, focus; nothing is held."""
         self.page.evaluate(FRESH)
-        self.live().until(lambda data: data["handle"] == "free" and float(data["force"] or 9) == 0.0)
+        self.live().until(lambda data: data["handle"] == "free")
+
+    def shown(self) -> None:
+        """Waits until what the server has now is shown."""
+        seq = int(self.data["seq"])
+        self.until(lambda data: int(data["seq"]) > seq + 2)
 
     @property
     def data(self) -> dict[str, str]:

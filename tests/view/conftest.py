@@ -61,8 +61,9 @@ def shared(kept: tuple[Any, Any]) -> Iterator[tuple[Any, Any]]:
     made, tab = kept
     made.forget()
     tab.fresh()
+    made.forget()  # what a hand that was just let go still sent
     made.tell({"type": "values", "values": made.values})
-    made.said.clear()
+    tab.shown()
     yield made, tab
     assert not tab.errors
     assert asked([tab]) <= {"127.0.0.1"}
