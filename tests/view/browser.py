@@ -40,7 +40,6 @@ FRESH = """() => {
   filter.value = "";
   filter.dispatchEvent(new Event("input"));
   document.querySelectorAll("#notices button").forEach((each) => each.click());
-  document.querySelector("[data-look=reset]").click();
   document.body.tabIndex = -1;
   document.body.focus(); // from here on Tab goes through the page
   document.body.removeAttribute("tabindex");
@@ -78,14 +77,16 @@ class Tab:
             self.errors.append(message.text)
 
     def fresh(self) -> None:
-        """As it was opened: view, choices, layers, filter, focus; nothing is held."""
+        """As it was opened: choices, layers, filter, focus; nothing is held."""
         self.page.evaluate(FRESH)
         self.live().until(lambda data: data["handle"] == "free")
 
     def shown(self) -> None:
-        """Waits until what the server has now is shown."""
+        """Waits until what the server has now is shown, and looks at it as at first."""
         seq = int(self.data["seq"])
         self.until(lambda data: int(data["seq"]) > seq + 2)
+        self.page.evaluate("document.querySelector('[data-look=reset]').click()")
+        self.redrawn()
 
     @property
     def data(self) -> dict[str, str]:

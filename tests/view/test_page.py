@@ -95,6 +95,7 @@ def test_the_right_button_and_the_ring_turn(shared: Any) -> None:
     tab.page.mouse.up(button="right")
     tab.until(lambda data: data["handle"] == "free")
     tab.page.locator("#drag input[value=turn]").check(force=True)
+    tab.redrawn()  # with the ring
     second = list(stub.finger.command[3:])
     tab.page.mouse.move(x + 84, y)
     tab.page.mouse.down()

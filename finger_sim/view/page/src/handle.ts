@@ -14,7 +14,7 @@ const CLEAR = 0.003; // m above the plane, where a finger that is let go comes t
 const ARRIVED = 5e-5; // m
 const LONGEST_RETURN = 1.2; // s
 const STEP = 0.004; // s, of the spring
-const ASKING = 2; // s after which a question that nobody answers is dropped
+const ASKING = 5; // s after which a question that nobody answers is dropped
 
 interface Pose {
   position: Vector3;
