@@ -1,8 +1,8 @@
 """What the page of `finger_sim view` costs: its server's share of a core, and the node's late steps beside it.
 
-By default the share at 30 and 60 frames a second with one client that draws each frame at once; with --drag the client
-holds the finger, too, and sends its poses at that rate. The node is the default one, in a process of its own, in free
-air without --drag.
+By default the share at 30 and 60 frames a second with one client that draws each frame at once: first in free air, then
+while it holds the finger, presses it on the plane and slides it, and sends 60 poses a second, as a screen does. The
+node is the default one, in a process of its own.
 
 With --late: slices with and without a page in turn, within one run of the node, whose own counts are compared. Commands
 come as for benchmarks/recording.py, a thousand a second, the strokes of a bag forth and back.
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import json
 import math
 import os
@@ -37,14 +38,14 @@ SETTLE = 3.0
 """Of a page that has just been opened [s]."""
 ALLOWED = {30.0: 5.0, 60.0: 8.0}
 """Share of a core [%] that is wanted at most, by frames a second."""
+SCREEN = 60.0
+"""Poses a second of a page that holds the finger."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scene", default="finger_haptic")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each measurement (default: %(default)g)")
-    parser.add_argument("--drag", action="store_true", help="the client holds the finger and presses it")
-    parser.add_argument("--device", action="store_true", help="the page also shows what a device is sent")
     parser.add_argument("--late", action="store_true", help="instead: late steps of the node with and without a page")
     parser.add_argument("--priority", type=int, default=20, help="of the node's loop; 0: as any other thread")
     parser.add_argument("--slice", type=float, default=10.0, help="length of a slice [s]")
@@ -68,16 +69,17 @@ def main() -> None:
 
 def share(args: argparse.Namespace) -> None:
     """The server's share of a core."""
-    with page_server(args.device) as (pid, port):
-        for hz, allowed in ALLOWED.items():
-            with Client(port, hz, args.drag) as client:
+    with page_server() as (pid, port):
+        for drag, (hz, allowed) in itertools.product((False, True), ALLOWED.items()):
+            with Client(port, hz, drag) as client:
                 time.sleep(SETTLE)
                 cpu, frames, sent, begin = cpu_seconds(pid), client.frames, client.bytes, time.monotonic()
                 time.sleep(args.seconds)
                 passed = time.monotonic() - begin
                 spent = 100.0 * (cpu_seconds(pid) - cpu) / passed
                 print(
-                    f"{hz:g} Hz: {spent:.1f} % of a core (wanted: at most {allowed:g}), "
+                    f"{hz:g} Hz, {'dragged' if drag else 'in free air'}: {spent:.1f} % of a core "
+                    f"(wanted: at most {allowed:g}), "
                     f"{(client.frames - frames) / passed:.1f} frames and {(client.bytes - sent) / passed / 1e3:.0f} kB "
                     f"a second, a frame arrives {1e3 * client.age:.1f} ms after its step (median)",
                     flush=True,
@@ -92,7 +94,7 @@ def late(node: int, args: argparse.Namespace) -> None:
     """The node's late steps in slices with and without a page; the server runs in both, nobody looks in the latter."""
     found: dict[bool, list[float]] = {False: [], True: []}
     steps: dict[bool, list[float]] = {False: [], True: []}
-    with page_server(args.device) as (_, port), Bench(node, read_commands(find_bag(args.bag)), True) as bench:
+    with page_server() as (_, port), Bench(node, read_commands(find_bag(args.bag)), True) as bench:
         for k in range(2 * args.pairs):
             on = k % 2 == 1
             with Client(port, 30.0) if on else contextlib.nullcontext():
@@ -113,10 +115,9 @@ def late(node: int, args: argparse.Namespace) -> None:
 
 
 @contextlib.contextmanager
-def page_server(device: bool) -> Iterator[tuple[int, int]]:
+def page_server() -> Iterator[tuple[int, int]]:
     """`finger_sim view --join` in the node's domain: process id and port."""
     command = [sys.executable, "-m", "finger_sim", "view", "--join", "--no-browser", "--port", "0"]
-    command += ["--device"] if device else []
     process = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     assert process.stdout is not None
     try:
@@ -135,11 +136,12 @@ class Client:
     def __init__(self, port: int, hz: float, drag: bool = False) -> None:
         self.frames = self.bytes = 0
         self._ages: list[float] = []
-        self._hz, self._drag = hz, drag
+        self._drag = drag
         self._stop = threading.Event()
         self._stack = contextlib.ExitStack()
         self._socket = self._stack.enter_context(connect(f"ws://127.0.0.1:{port}/ws", compression=None, max_size=None))
         self._say("frames", hz=hz)
+        self._drawn = 0
         self._threads = [threading.Thread(target=self._draw)]
         if drag:
             self._say("take")
@@ -177,17 +179,19 @@ class Client:
                     _, _, seq, _, stamp = struct.unpack_from("<4Id", data)
                     self.frames, self.bytes = self.frames + 1, self.bytes + len(data)
                     self._ages.append(time.time() - stamp)
-                    self._say("ack", seq=seq)
+                    self._drawn = seq
+                    if not self._drag:
+                        self._socket.send(struct.pack("<2I", 1, seq))
 
     def _move(self) -> None:
-        """Down onto the plane by 2 mm and up again, and to and fro along it."""
+        """Down onto the plane by 2 mm and up again, and to and fro along it; says what was drawn by then, too."""
         begin = time.monotonic()
         half = math.sqrt(0.5)
         with contextlib.suppress(ConnectionClosed):
-            while not self._stop.wait(1.0 / self._hz):
+            while not self._stop.wait(1.0 / SCREEN):
                 t = time.monotonic() - begin
-                position = [2e-3 * math.sin(t), 0.0, 0.0075 - 0.002 * (1.0 - math.cos(2.0 * t)) / 2.0]
-                self._say("pose", position=position, orientation=[half, 0.0, 0.0, half], t=t)
+                place = (2e-3 * math.sin(t), 0.0, 0.0075 - 0.002 * (1.0 - math.cos(2.0 * t)) / 2.0)
+                self._socket.send(struct.pack("<2I7d", 2, self._drawn, *place, half, 0.0, 0.0, half))
 
 
 if __name__ == "__main__":

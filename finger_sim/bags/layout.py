@@ -1,4 +1,4 @@
-"""How arrays lie in messages: points of the mesh as a PointCloud2, wrenches in the frame they name.
+"""How arrays lie in messages: points of the mesh as a PointCloud2, wrenches in the frame they name; and other names.
 
 Pure NumPy, no ROS: the node and the replay share these layouts, so both write the same bytes.
 """
@@ -27,8 +27,20 @@ POINT_FIELDS = tuple((name, i * FLOAT.itemsize) for i, name in enumerate(POINT_N
 FLOAT32 = 7
 """sensor_msgs/PointField `datatype` of every field."""
 
+_TITLE = ": simulation"
+
 WrenchFrame = Literal["world_aligned", "finger", "world"]
 WRENCH_FRAMES: tuple[WrenchFrame, ...] = get_args(WrenchFrame)
+
+
+def status_name(node: str) -> str:
+    """Name of the node's status on /diagnostics, by its full name: as diagnostics are named, "left/finger: title"."""
+    return node.removeprefix("/") + _TITLE
+
+
+def node_of_status(name: str) -> str | None:
+    """Full name of the node whose status has that name; None: it is none of finger_sim's."""
+    return f"/{name.removesuffix(_TITLE)}" if name.endswith(_TITLE) else None
 
 
 def node_strain(strain_ratio: NDArray[np.float64], tets: NDArray[np.integer[Any]], nodes: int) -> NDArray[np.float64]:

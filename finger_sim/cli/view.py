@@ -28,7 +28,6 @@ def add_view(verbs: Any) -> None:
     add("--join", action="store_true", help="show a node that runs already")
     add("--node", metavar="NAME", help="of the node to join, with its namespace (default: /finger)")
     add("--watch", action="store_true", help="only show: the page neither holds the finger nor changes anything")
-    add("--device", action="store_true", help="show what a device is sent, too; steps of the node may wait for it")
     add("--port", type=_port, default=8470, metavar="N", help="0: any free one (default: %(default)s)")
     add("--address", default="127.0.0.1", metavar="IP", help="to serve at; any but this machine's own needs a token")
     add("--no-browser", action="store_true", help="do not open the page")
@@ -96,7 +95,7 @@ def _source(options: argparse.Namespace, guard: Any, recordings: Any) -> Source:
     else:
         session = OwnNode(options.scene or "finger_haptic", _folder(options.out or Path()))
         say(f"starting the node (ROS_DOMAIN_ID {session.domain})")
-    return LiveSource(session, guard, recordings, options.watch, options.device)
+    return LiveSource(session, guard, recordings, options.watch)
 
 
 def _folder(out: Path) -> Path:
@@ -114,9 +113,12 @@ def _refuse_what_does_not_fit(options: argparse.Namespace) -> None:
     """Raises FingerSimError for options that mean nothing together."""
     from ..errors import FingerSimError
 
-    given = {"--scene": options.scene, "--join": options.join, "--node": options.node, "--out": options.out}
+    given = {
+        "--scene": options.scene, "--join": options.join, "--node": options.node, "--watch": options.watch,
+        "--out": options.out,
+    }  # fmt: skip
     pairs = [
-        ("BAG", options.bag, ("--scene", "--join", "--node", "--out")),
+        ("BAG", options.bag, tuple(given)),
         ("--join", options.join, ("--scene", "--out")),
     ]
     for name, value, others in pairs:

@@ -6,6 +6,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from ..bags.layout import status_name
 from ..haptics.budget import claimed
 from ..haptics.passivity import stable_stiffness
 from ..simulation.touch import Imprint
@@ -26,13 +27,13 @@ SLOW_COMMANDS = 100.0
 class Reporter:
     """Makes a DiagnosticArray of the time since the last one; called from one thread.
 
-    name : of the node, with its namespace: several fingers report on one topic
+    node : its full name
     """
 
     def __init__(
-        self, name: str, loop: Ticker, stepper: Stepper, outputs: Outputs, inbox: Inbox, graph: GraphWatch
+        self, node: str, loop: Ticker, stepper: Stepper, outputs: Outputs, inbox: Inbox, graph: GraphWatch
     ) -> None:
-        self._name = f"{name.strip('/')}: simulation"
+        self._name = status_name(node)
         self._loop, self._stepper, self._outputs, self._inbox = loop, stepper, outputs, inbox
         self._graph = graph
         self._before: StepCounts | None = None

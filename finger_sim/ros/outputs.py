@@ -35,11 +35,13 @@ _TYPES: dict[str, tuple[Any, Qos]] = {
     "device_wrench": (WrenchStamped, Qos()),
     "pose": (PoseStamped, Qos()),
     "mesh_points": (PointCloud2, Qos(depth=5)),
+    "device_wrench_throttle": (WrenchStamped, Qos(depth=5)),
     "mesh_marker": (Marker, Qos(depth=1)),
     "/diagnostics": (DiagnosticArray, Qos()),
 }
-"""Topic, type and offered quality of service, recorded in this order. mesh_marker is not recorded: it holds
-nothing that mesh_points does not."""
+"""Topic, type and offered quality of service."""
+REPEATS = ("mesh_marker", "device_wrench_throttle")
+"""Topics that hold nothing that others do not; they are not recorded. The others are, in their order."""
 
 STEPPED = ("device_wrench", "contact_wrench", "pose")
 """Topics with a message for each step, in their order."""
@@ -81,6 +83,7 @@ class Outputs:
             wrench_frame_id(options.wrench_frame, options.finger_frame, options.world_frame)
         )
         self._device = messages.wrench_template(f"{options.finger_frame}_world_aligned")
+        self._throttled = messages.wrench_template(f"{options.finger_frame}_world_aligned")
         self._pose = messages.pose_template(options.world_frame)
         self._frames = Frames(options.world_frame, options.finger_frame)
         self._broadcast = transforms.Broadcast(node, options) if transforms.available() else None
@@ -102,7 +105,7 @@ class Outputs:
         sent = [
             RecordedTopic(self._names[name], ros_type(kind), qos)
             for name, (kind, qos) in _TYPES.items()
-            if name != "mesh_marker"
+            if name not in REPEATS
         ]
         return [*sent, *_RECORDED]
 
@@ -140,7 +143,7 @@ class Outputs:
         """Publishes and records one message of CDR bytes; `at`: steady time that it is of [ns], the present if None."""
         self._publishers[topic].publish(data)
         recorder, at = self.recorder, time.monotonic_ns() if at is None else at
-        if recorder is not None and topic != "mesh_marker" and at >= recorder.began:
+        if recorder is not None and topic not in REPEATS and at >= recorder.began:
             recorder.put(self._names[topic], data, at)
 
     @property
@@ -163,6 +166,10 @@ class Outputs:
         points = pack_points(shown.positions, place(self._mesh.points, shown.pose), shown.forces, strain)
         self.send("mesh_points", self._cloud.fill(shown.stamp, points.tobytes()), shown.at)
         self.mesh_messages += 1
+
+    def device(self, shown: Shown) -> None:
+        """Sends again what a device was sent with that step: whoever takes this does not hold up the loop."""
+        self.send("device_wrench_throttle", self._throttled.fill(shown.stamp, doubles(shown.device)))
 
     def marker(self, shown: Shown) -> None:
         """Sends the surface, coloured."""

@@ -1,4 +1,4 @@
-"""What viewers are sent: the deformed mesh, the coloured surface, and frames, made in a thread of their own.
+"""What viewers are sent: the deformed mesh, the device's wrench, the coloured surface, and frames, made in a thread.
 
 The loop only copies what is shown, between two steps (snapshot.py).
 """
@@ -55,10 +55,13 @@ class Scenery:
         """Rate of each [Hz]; 0 where nobody is to see it."""
         out, options = self._outputs, self._outputs.options
         return {
-            "mesh": options.mesh_rate if out.recording or out.heard("mesh_points") else 0.0,
+            "mesh": options.mesh_rate if self._mesh_is_wanted() or out.heard("device_wrench_throttle") else 0.0,
             "marker": options.marker_rate if out.heard("mesh_marker") else 0.0,
             "tf": TF_RATE if out.recording or out.broadcasts else 0.0,
         }
+
+    def _mesh_is_wanted(self) -> bool:
+        return self._outputs.recording or self._outputs.heard("mesh_points")
 
     def _show(self, due: list[str]) -> None:
         shown = self._ask(due != ["tf"])
@@ -69,8 +72,11 @@ class Scenery:
         if shown is None:
             return
         out = self._outputs
-        if "mesh" in due:
-            out.mesh(shown)
+        if "mesh" in due:  # the wrench first: who takes a mesh then has the wrench of its step
+            if out.heard("device_wrench_throttle"):
+                out.device(shown)
+            if self._mesh_is_wanted():
+                out.mesh(shown)
         if "marker" in due:
             out.marker(shown)
         if "tf" in due:

@@ -43,6 +43,7 @@ class Copied(NamedTuple):
     at      : (1,) the steady time at which it began [ns]
     positions, velocities, forces, strains, ratios : State.x, v, contact_force, limit_strain, strain_ratio
     pose    : (7,) of the finger frame
+    device  : (6,) wrench that a device was sent
     placed, plane, normal, point, twist : of the Table of the plane; plane: its `pose`
     counted : of the steps since the last copy, if they are counted here
     """
@@ -60,6 +61,7 @@ class Copied(NamedTuple):
     strains: Floats
     ratios: Floats
     pose: Floats
+    device: Floats
     placed: Floats
     plane: Floats
     normal: Floats
@@ -69,8 +71,8 @@ class Copied(NamedTuple):
 
 
 @stage
-def hand_over(copied: Copied, state: State, body: Body, stamp: int, at: int) -> None:
-    """Makes the copy that is asked for. stamp, at: of the last step."""
+def hand_over(copied: Copied, state: State, body: Body, device: Floats, stamp: int, at: int) -> None:
+    """Makes the copy that is asked for. device, stamp, at: of the last step."""
     table = body.table
     copied.steps[0], copied.stamp[0], copied.at[0] = body.steps[0], stamp, at
     _copy(copied.positions, state.x.reshape(-1))
@@ -79,6 +81,7 @@ def hand_over(copied: Copied, state: State, body: Body, stamp: int, at: int) -> 
     _copy(copied.strains, state.limit_strain.reshape(-1))
     _copy(copied.ratios, state.strain_ratio)
     _copy(copied.pose, body.pose)
+    _copy(copied.device, device)
     _copy(copied.placed, table.placed)
     _copy(copied.plane, table.pose)
     _copy(copied.normal, table.normal)
@@ -129,6 +132,7 @@ class Shown(NamedTuple):
     positions: Floats  # of the nodes (n, 3) [m], world
     forces: Floats  # of the plane on each node (n, 3) [N], world
     strain: Floats  # strain/limit of each tetrahedron (T,)
+    device: Floats  # force and torque that a device was sent (6,) [N, N m]
 
 
 class Snapshot:
@@ -144,8 +148,8 @@ class Snapshot:
         strains = aligned(state.limit_strain.size)
         self.record = Copied(
             asked, write, event, np.ones(1, np.int64), steps, stamp, at, x, v, forces, strains,
-            np.zeros(state.strain_ratio.size), np.zeros(7), np.zeros(1), np.zeros(7), np.zeros(3), np.zeros(3),
-            np.zeros(6), nothing_counted(),
+            np.zeros(state.strain_ratio.size), np.zeros(7), np.zeros(6), np.zeros(1), np.zeros(7), np.zeros(3),
+            np.zeros(3), np.zeros(6), nothing_counted(),
         )  # fmt: skip
         self.close = weakref.finalize(self, os.close, event)
         """To be called when no compiled code uses the record any more."""
@@ -172,7 +176,7 @@ class Snapshot:
         strain = sim.strains_of(own.strains, own.ratios) if whole else np.zeros(0)
         return Shown(
             pose_of(own.pose), self._plane(sim), int(own.stamp[0]), int(own.at[0]),
-            own.positions.reshape(-1, 4)[:, :3], own.forces.reshape(-1, 3), strain,
+            own.positions.reshape(-1, 4)[:, :3], own.forces.reshape(-1, 3), strain, own.device,
         )  # fmt: skip
 
     def imprint(self, sim: Simulator) -> Imprint:

@@ -238,10 +238,10 @@ def _show(state: State, live: Live) -> None:
     """Copies for other threads that ask for them."""
     stamp, at = live.sent.stamp[0], live.deadlines.begun[0]
     if load_acquire(live.shown.asked, 0) != 0:
-        hand_over(live.shown, state, live.body, stamp, at)
+        hand_over(live.shown, state, live.body, live.sent.device, stamp, at)
         is_there(live.shown)
     if load_acquire(live.reported.asked, 0) != 0:
-        hand_over(live.reported, state, live.body, stamp, at)
+        hand_over(live.reported, state, live.body, live.sent.device, stamp, at)
         take_counted(live.reported, live.counted)
         is_there(live.reported)
 

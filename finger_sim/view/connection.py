@@ -42,7 +42,7 @@ class Peer(Protocol):
     def on_text(self, text: str) -> None:
         """A message came."""
 
-    def on_binary(self) -> None:
+    def on_bytes(self, data: bytes) -> None:
         """A message came that is no text."""
 
     def on_closed(self) -> None:
@@ -62,6 +62,7 @@ class Connection(asyncio.Protocol):
         self._transport: Any = None
         self._peer: Peer | None = None
         self._parts: list[bytes] = []
+        self._is_text = True
         self._task: asyncio.Task[None] | None = None
         self.heard = 0.0
 
@@ -149,20 +150,23 @@ class Connection(asyncio.Protocol):
     def _take(self, frame: Frame) -> None:
         """A frame of a message."""
         peer = self._peer
-        if peer is None:
+        if peer is None or frame.opcode not in (Opcode.TEXT, Opcode.BINARY, Opcode.CONT):
             return
-        if frame.opcode is Opcode.BINARY:
-            peer.on_binary()
-        elif frame.opcode in (Opcode.TEXT, Opcode.CONT):
-            self._parts.append(bytes(frame.data))
-            if frame.fin:
-                data, self._parts = b"".join(self._parts), []
-                try:
-                    text = data.decode()
-                except UnicodeDecodeError:
-                    self._socket.fail(CloseCode.INVALID_DATA, "no UTF-8")
-                    return
-                peer.on_text(text)
+        if frame.opcode is not Opcode.CONT:
+            self._is_text = frame.opcode is Opcode.TEXT
+        self._parts.append(bytes(frame.data))
+        if not frame.fin:
+            return
+        data, self._parts = b"".join(self._parts), []
+        if not self._is_text:
+            peer.on_bytes(data)
+            return
+        try:
+            text = data.decode()
+        except UnicodeDecodeError:
+            self._socket.fail(CloseCode.INVALID_DATA, "no UTF-8")
+            return
+        peer.on_text(text)
 
     def _answer(self, request: Request) -> None:
         """A file, a WebSocket, or a refusal."""

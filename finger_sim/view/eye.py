@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from ..bags.poses import check_pose, read_pose
+from ..errors import FingerSimError
 from ..scene import Plane, Pose
 from .forces import split
 from .link import Link
@@ -13,6 +14,9 @@ from .protocol import Picture, Topology
 from .raw import CloudReader, read_wrench
 from .samples import Samples
 from .values import Values
+
+REPLACED = 60
+"""Clouds of another mesh after which a node has not just been replaced: some that are on their way."""
 
 
 class Eye:
@@ -28,7 +32,8 @@ class Eye:
         self._ground, self._moved = Ground(), False
         self._command: tuple[float, ...] | None = None
         self._device: tuple[float, ...] | None = None
-        self._plane_moves = self._others_command = True
+        self._plane_moves = True
+        self._strange = 0
         self._virtual = False
         self.take(values, moved=True)
 
@@ -51,7 +56,7 @@ class Eye:
     def look_for(self, link: Link) -> None:
         """Nothing is taken from topics on which nobody sends."""
         self._plane_moves = link.senders("plane_pose") > 0
-        self._others_command = link.senders("command_pose") > 1
+        link.look_for_others()
 
     def commanded(self, pose: Pose) -> None:
         """A page sent the finger there."""
@@ -64,16 +69,22 @@ class Eye:
             return None
         cloud = self._reader.read(clouds[-1])
         if len(cloud.points) != len(self._painter):
+            self._strange += 1
+            if self._strange > REPLACED:
+                raise FingerSimError(
+                    f"mesh_points has {len(cloud.points)} nodes, mesh_topology {len(self._painter)}: "
+                    f"there may be two nodes {link.target}"
+                )
             return None  # of a node that has just been replaced
+        self._strange = 0
         if self._plane_moves:
             for data in link.taken("plane_pose"):
                 self._move_plane(_pose(data, self._world))
-        if self._others_command:
-            for data in link.taken("command_pose"):
-                pose = _pose(data, self._world)
-                if pose is not None:
-                    self.commanded(pose)
-        for data in link.taken("device_wrench"):
+        for data in link.taken("command_pose"):
+            pose = _pose(data, self._world)
+            if pose is not None:
+                self.commanded(pose)
+        for data in link.taken("device_wrench_throttle"):
             self._device = read_wrench(data)[1]
         picture = self._painter.paint(cloud, 1e-9 * cloud.stamp, self._ground)
         picture.command, picture.device, picture.virtual = self._command, self._device, self._virtual

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from ..errors import FingerSimError
 from ..plain import plain
 from .connection import CROWDED, Connection, Peer
-from .orders import Order, OrderError, read_order
+from .orders import Order, OrderError, read_drawn, read_order
 from .protocol import VERSION, Frame, Picture, Topology, pack_topology
 
 MOST_CLIENTS = 32
@@ -54,7 +54,7 @@ class Source(Protocol):
         """Until it is cancelled: tells the hub what there is."""
 
     def hello(self) -> Mapping[str, Any]:
-        """title, scenes, scene, and of a bag its name and duration."""
+        """title, scenes, scene; of a bag its name and duration; of a node what was recorded and can be fetched."""
 
     def parameters(self) -> list[dict[str, Any]]:
         """Descriptions of all parameters."""
@@ -68,8 +68,8 @@ class Source(Protocol):
     def look(self) -> Picture | None:
         """The newest picture where it is another than the one of the last call."""
 
-    def pose(self, position: list[float], orientation: list[float]) -> None:
-        """Sends the finger there."""
+    def pose(self, numbers: Sequence[float]) -> None:
+        """Sends the finger there: position [m] and x y z w. Raises FingerSimError for what is no pose."""
 
     async def do(self, order: Order, hub: Hub) -> Mapping[str, Any] | None:
         """Follows an order; what to answer. Raises FingerSimError where that cannot be."""
@@ -95,9 +95,9 @@ class Client(Peer):
         """An order came."""
         self._hub.obey(self, text)
 
-    def on_binary(self) -> None:
-        """Pages send none."""
-        self.notice("warn", "a message: got bytes, allowed: a text")
+    def on_bytes(self, data: bytes) -> None:
+        """It has drawn a frame, and maybe sends the finger somewhere."""
+        self._hub.follow(self, data)
 
     def on_closed(self) -> None:
         """It has gone."""
@@ -148,11 +148,9 @@ class Hub:
         self._somebody = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._orders: dict[str, Callable[[Client, Order], None]] = {
-            "ack": lambda client, order: client.acknowledge(order.said["seq"]),
             "frames": self._frames,
             "take": lambda client, _: self._take(client),
             "release": lambda client, _: self._release(client),
-            "pose": self._pose,
         }
 
     async def run(self) -> None:
@@ -237,6 +235,18 @@ class Hub:
         except FingerSimError as error:
             client.notice("warn", str(error))
 
+    def follow(self, client: Client, data: bytes) -> None:
+        """Takes what a page says as often as it draws, or tells it why not."""
+        try:
+            seq, pose = read_drawn(data)
+            client.acknowledge(seq)
+            if pose is not None:
+                if self.holder != client.number:
+                    raise OrderError("pose: only the page that holds the finger may send it")
+                self.source.pose(pose)
+        except FingerSimError as error:
+            client.notice("warn", str(error))
+
     async def _do(self, client: Client, order: Order) -> None:
         """What takes the source some time."""
         try:
@@ -269,11 +279,6 @@ class Hub:
     def _hold(self, holder: int | None) -> None:
         self.holder = holder
         self.tell("handle", {"holder": holder})
-
-    def _pose(self, client: Client, order: Order) -> None:
-        if self.holder != client.number:
-            raise OrderError("pose: only the page that holds the finger may send it")
-        self.source.pose(order.said["position"], order.said["orientation"])
 
     def _greet(self, client: Client) -> None:
         source = self.source

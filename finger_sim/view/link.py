@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import struct
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -29,19 +30,20 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from std_srvs.srv import SetBool, Trigger
 
-from ..bags.template import doubles
+from ..bags.layout import status_name
 from ..errors import FingerSimError
 from ..ros.messages import pose_template
 from ..ros.process import TRANSPORTS, logged
 from ..ros.rclpy_private import failures, take_all
 from ..scene import Pose
 from .values import Described
-from .words import NAME, Report
+from .words import Report
 
 ANSWER_TIMEOUT = 5.0
 """How long a service may take [s]: closing a recording takes longest."""
 SPIN_PERIOD = 0.5
 """Time within which its thread notices that it is to end [s]."""
+_NUMBERS = struct.Struct("<7d")
 
 
 class Heard(NamedTuple):
@@ -55,17 +57,13 @@ class Heard(NamedTuple):
 
 
 class Link:
-    """Looks at the node of that full name, in `domain` or the environment's.
+    """Looks at the node of that full name, in `domain` or the environment's."""
 
-    device : whether device_wrench is heard, too. The loop sends it in each step, and waits then for who takes it from
-             memory that they share: without a processor to spare 3 % of its steps were late for it
-    """
-
-    def __init__(self, name: str, domain: int | None, heard: Heard, device: bool = False) -> None:
+    def __init__(self, name: str, domain: int | None, heard: Heard) -> None:
         """Raises FingerSimError where ROS does not let this process in."""
         os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", TRANSPORTS)
-        self.target, self._device = name, device
-        self._heard = heard
+        self.target, self._heard = name, heard
+        self._status = status_name(name)
         self._loop = asyncio.get_running_loop()
         self._context = rclpy.Context()
         quiet = {"domain_id": domain, "signal_handler_options": SignalHandlerOptions.NO}
@@ -80,6 +78,7 @@ class Link:
         self._node = _Quiet(f"finger_sim_view_{os.getpid()}", namespace, self._context)
         self._clients: dict[str, Any] = {}
         self._subscriptions: dict[str, Any] = {}
+        self._listens = False
         self._publisher = self._node.create_publisher(PoseStamped, "command_pose", 10)
         self._template = pose_template("world")
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
@@ -87,7 +86,7 @@ class Link:
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, newest)
         self._node.create_subscription(Mesh, "mesh_topology", self._on_topology, lasting, raw=True)
         self._node.create_subscription(ParameterEvent, "/parameter_events", self._on_event, 1000)
-        self._listen_to("plane_pose", PoseStamped, 1)
+        self._hear("plane_pose", PoseStamped, True)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._spin, name="ros", daemon=True)
         self._thread.start()
@@ -100,20 +99,15 @@ class Link:
         rclpy.try_shutdown(context=self._context)
 
     def listen(self, on: bool) -> None:
-        """Begins or ends to hear what is sent only, or more cheaply, where nobody hears it."""
-        topics = {
-            "mesh_points": (PointCloud2, 1),
-            "command_pose": (PoseStamped, 1),
-        }
-        if self._device:
-            topics["device_wrench"] = (WrenchStamped, 1)
-        for topic, (kind, depth) in topics.items():
-            if on and topic not in self._subscriptions:
-                self._listen_to(topic, kind, depth)
-            elif not on and topic in self._subscriptions:
-                subscription = self._subscriptions.pop(topic)
-                self._node.taken.discard(subscription)
-                self._node.destroy_subscription(subscription)
+        """Begins or ends to hear what is sent only where somebody hears it."""
+        self._listens = on
+        self._hear("mesh_points", PointCloud2, on)
+        self._hear("device_wrench_throttle", WrenchStamped, on)
+        self.look_for_others()
+
+    def look_for_others(self) -> None:
+        """Hears commands where others send some, too: each of its own would come back to it."""
+        self._hear("command_pose", PoseStamped, self._listens and self.senders("command_pose") > 1)
 
     def taken(self, topic: str) -> list[bytes]:
         """The messages that lie in the subscription of a topic, oldest first."""
@@ -126,7 +120,7 @@ class Link:
 
     def send(self, pose: Pose) -> None:
         """Sends a command."""
-        self._publisher.publish(self._template.fill(time.time_ns(), doubles([*pose.position, *pose.orientation])))
+        self._publisher.publish(self._template.fill(time.time_ns(), _NUMBERS.pack(*pose.position, *pose.orientation)))
 
     def senders(self, topic: str) -> int:
         """How many send on a topic; of command_pose this is one."""
@@ -179,15 +173,21 @@ class Link:
             client.remove_pending_request(asked)
             raise FingerSimError(f"{service} did not answer within {timeout:g} s") from None
 
-    def _listen_to(self, topic: str, kind: Any, depth: int) -> None:
-        quality = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-        # An executor that waits for events of a subscription wakes for each of its messages, too.
-        silent = SubscriptionEventCallbacks(use_default_callbacks=False)
-        subscription = self._node.create_subscription(
-            kind, topic, lambda _: None, quality, raw=True, event_callbacks=silent
-        )
-        self._node.taken.add(subscription)
-        self._subscriptions[topic] = subscription
+    def _hear(self, topic: str, kind: Any, on: bool) -> None:
+        """Begins or ends to hear a topic, whose newest message lies there until it is taken."""
+        if on and topic not in self._subscriptions:
+            quality = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+            # An executor that waits for events of a subscription wakes for each of its messages, too.
+            silent = SubscriptionEventCallbacks(use_default_callbacks=False)
+            subscription = self._node.create_subscription(
+                kind, topic, lambda _: None, quality, raw=True, event_callbacks=silent
+            )
+            self._node.taken.add(subscription)
+            self._subscriptions[topic] = subscription
+        elif not on and topic in self._subscriptions:
+            subscription = self._subscriptions.pop(topic)
+            self._node.taken.discard(subscription)
+            self._node.destroy_subscription(subscription)
 
     def _spin(self) -> None:
         executor = SingleThreadedExecutor(context=self._context)
@@ -201,7 +201,7 @@ class Link:
 
     def _on_report(self, array: Any) -> None:
         for status in array.status:
-            if status.name == NAME:
+            if status.name == self._status:
                 values = {item.key: item.value for item in status.values}
                 self._tell(self._heard.report, Report(values, status.message, status.level[0]))
 

@@ -7,7 +7,7 @@ import contextlib
 import gc
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +26,14 @@ from .samples import Samples
 from .session import Session
 from .shape import topology_of, with_scene
 from .values import Values
-from .words import FED_SLOWLY, Report, status_of
+from .words import Report, status_of
 
 LOOK_PERIOD = 0.25
 """Time between two looks at whether the node is there [s]."""
 _RECORDED = re.compile(r"(.*): \d+ messages, \d+ dropped")
 """What the node answers when a recording has ended: its folder, and what is in it."""
+FINISHING = 10.0
+"""How long the recording of a node that has ended is waited for [s]."""
 QUIET = 3.5
 """Time without a report, which a node sends each second, after which it has gone [s]."""
 
@@ -39,17 +41,15 @@ QUIET = 3.5
 class LiveSource:
     """Shows the node of a session.
 
-    watch  : whether pages only look
-    device : whether what a device is sent is shown, too; see Link
+    watch : whether pages only look
     """
 
     kind = "node"
 
-    def __init__(
-        self, session: Session, guard: Guard, recordings: Recordings, watch: bool = False, device: bool = False
-    ) -> None:
-        self.drive, self._device = not watch, device
+    def __init__(self, session: Session, guard: Guard, recordings: Recordings, watch: bool = False) -> None:
+        self.drive = not watch
         self._session, self._guard, self._recordings = session, guard, recordings
+        self._recorded: list[dict[str, Any]] = []
         self._phase, self._message = "starting", "the node is starting"
         self._report, self._before, self._heard = Report(), Report(), 0.0
         self._values = Values({})
@@ -71,7 +71,7 @@ class LiveSource:
         try:
             session.start()
             heard = Heard(self._on_report, self._on_topology, self._on_values)
-            self._link = Link(session.name, session.domain, heard, self._device)
+            self._link = Link(session.name, session.domain, heard)
             self._link.listen(self._listens)
             while True:
                 await asyncio.sleep(LOOK_PERIOD)
@@ -89,7 +89,10 @@ class LiveSource:
     def hello(self) -> Mapping[str, Any]:
         """See Source."""
         scene = self._session.scene or _stem(self._values.plain("scene"))
-        return {"title": f"{scene or self._session.name}", "scenes": list(self._session.scenes), "scene": scene}
+        scenes = list(self._session.scenes)
+        return {
+            "title": f"{scene or self._session.name}", "scenes": scenes, "scene": scene, "recorded": self._recorded,
+        }  # fmt: skip
 
     def parameters(self) -> list[dict[str, Any]]:
         """See Source."""
@@ -101,10 +104,8 @@ class LiveSource:
         runs = self._phase == "running"
         report, before = (self._report, self._before) if runs else (Report(), Report())
         levels = self._costs.texts() if runs else None
-        told = status_of(report, before)
-        if self._hub is not None and self._hub.holder is not None:
-            told["words"] = [word for word in told["words"] if not word["text"].startswith(FED_SLOWLY)]
-        return told | {"level_errors": levels, "phase": self._phase, "message": self._message}
+        told = {"level_errors": levels, "phase": self._phase, "message": self._message}
+        return status_of(report, before) | told
 
     def position(self) -> None:
         """See Source."""
@@ -130,9 +131,9 @@ class LiveSource:
             picture.status = int(self._report.status)
         return picture
 
-    def pose(self, position: list[float], orientation: list[float]) -> None:
+    def pose(self, numbers: Sequence[float]) -> None:
         """See Source."""
-        self._poses.submit([*position, *orientation])
+        self._poses.submit(numbers)
 
     async def do(self, order: Order, hub: Hub) -> Mapping[str, Any] | None:
         """See Source."""
@@ -164,19 +165,34 @@ class LiveSource:
     async def _record(self, link: Link, on: bool, hub: Hub) -> None:
         answer = await link.record(on)
         hub.notice("info", answer)
-        if not on:
-            found = _RECORDED.match(answer)
-            offered = await asyncio.to_thread(self._recordings.add, Path(found[1])) if found else None
-            if offered is not None:
-                name, size = offered
-                url = f"{RECORDINGS}{name}{self._guard.query}"
-                hub.tell("recorded", {"name": name, "url": url, "bytes": size})
+        found = None if on else _RECORDED.match(answer)
+        if found:
+            await self._offer(found[1], hub)
+
+    async def _offer(self, folder: str, hub: Hub) -> None:
+        """A recording that has ended can be fetched, where it is on this machine."""
+        offered = await asyncio.to_thread(self._recordings.add, Path(folder))
+        if offered is not None:
+            name, size = offered
+            self._recorded.append({"name": name, "url": f"{RECORDINGS}{name}{self._guard.query}", "bytes": size})
+            hub.tell("recorded", self._recorded[-1])
+
+    async def _offer_once_whole(self, folder: str, hub: Hub) -> None:
+        """The same of a node that has ended: the process that writes its recording finishes it after that."""
+        end = time.monotonic() + FINISHING
+        while not (Path(folder) / "metadata.yaml").exists() and time.monotonic() < end:
+            await asyncio.sleep(LOOK_PERIOD)
+        await self._offer(folder, hub)
 
     async def _change_scene(self, name: str, hub: Hub) -> None:
         async with self._lock:
             self._session.choose(name)
+            link = self._link if self._phase == "running" else None
             self._forget(f"starting the node with {name}")
             hub.tell("status", self.status())
+            if link is not None:
+                with contextlib.suppress(FingerSimError):  # nothing is being recorded
+                    await self._record(link, False, hub)
             await asyncio.to_thread(self._session.end)
             self._session.start()
             self._forget(f"starting the node with {name}")
@@ -198,6 +214,9 @@ class LiveSource:
             was_ready = self._report.runs
             if self._phase != "gone":
                 hub.notice("error", ended)
+                recording = self._report.values.get("recording", "off")
+                if recording != "off":
+                    self._later(self._offer_once_whole(recording, hub))
             self._phase, self._message = "gone", ended
             if was_ready:
                 self._session.start()

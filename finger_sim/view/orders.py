@@ -1,9 +1,10 @@
-"""What a page may say: JSON texts, each judged before anything is done."""
+"""What a page may say: JSON texts and, as often as it draws, a few bytes; each judged before anything is done."""
 
 from __future__ import annotations
 
 import json
 import math
+import struct
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -13,6 +14,9 @@ MOST_BYTES = 64 * 1024
 """Of a message; a longer one ends the connection."""
 FASTEST = 60.0
 """Frames a second that a page may want."""
+_DRAWN, _HELD = struct.Struct("<2I"), struct.Struct("<2I7d")
+DRAWN, HELD = 1, 2
+"""First word of what a page says in bytes: that it has drawn a frame; the same with a pose of the finger it holds."""
 
 
 class OrderError(FingerSimError):
@@ -24,6 +28,17 @@ class Order(NamedTuple):
 
     type: str
     said: Mapping[str, Any]
+
+
+class Drawn(NamedTuple):
+    """What a page says once it has drawn.
+
+    seq  : of the newest frame that it has drawn
+    pose : position [m] and x y z w, where it is to send the finger; None: it says nothing of that
+    """
+
+    seq: int
+    pose: tuple[float, ...] | None
 
 
 class _Rule(NamedTuple):
@@ -43,26 +58,16 @@ def _number(low: float = -math.inf, high: float = math.inf, needed: bool = True)
     return _Rule(span, lambda value: _is_number(value) and low <= value <= high, needed)
 
 
-def _numbers(count: int, words: str) -> _Rule:
-    return _Rule(words, lambda value: isinstance(value, list) and len(value) == count and all(map(_is_number, value)))
-
-
 def _text(needed: bool = True) -> _Rule:
     return _Rule("a text of 1 to 200 letters", lambda value: isinstance(value, str) and 0 < len(value) <= 200, needed)
 
 
 _SWITCH = _Rule("true or false", lambda value: isinstance(value, bool))
-_COUNT = _Rule("a whole number from 0 on", lambda value: type(value) is int and 0 <= value < 2**32)
 _ANYTHING = _Rule("a value", lambda value: True)
 
 RULES: Mapping[str, Mapping[str, _Rule]] = {
     "take": {},
     "release": {},
-    "pose": {
-        "position": _numbers(3, "three numbers [m]"),
-        "orientation": _numbers(4, "four numbers x y z w"),
-        "t": _number(needed=False),
-    },
     "set": {"name": _text(), "value": _ANYTHING},
     "reset": {},
     "record": {"on": _SWITCH},
@@ -70,7 +75,6 @@ RULES: Mapping[str, Mapping[str, _Rule]] = {
     "yaml": {},
     "seek": {"time": _number(0.0, 1e9)},
     "play": {"on": _SWITCH, "speed": _number(0.01, 100.0, needed=False)},
-    "ack": {"seq": _COUNT},
     "frames": {"hz": _number(1.0, FASTEST)},
 }
 """By type: what each message must say."""
@@ -79,7 +83,7 @@ RULES: Mapping[str, Mapping[str, _Rule]] = {
 def read_order(text: str) -> Order:
     """The order in a text. Raises OrderError naming what was found and what is allowed."""
     try:
-        said = json.loads(text, parse_constant=_refuse)
+        said = _JSON.decode(text)
     except (ValueError, RecursionError) as error:
         raise OrderError(f"a message that is no JSON: {' '.join(str(error).split())}") from None
     if not isinstance(said, dict):
@@ -100,5 +104,20 @@ def read_order(text: str) -> Order:
     return Order(kind, said)
 
 
+def read_drawn(data: bytes) -> Drawn:
+    """What bytes of a page say, little-endian: kind, seq, and of HELD seven float64. Raises OrderError for others."""
+    kind = int.from_bytes(data[:4], "little")
+    if kind == DRAWN and len(data) == _DRAWN.size:
+        return Drawn(_DRAWN.unpack(data)[1], None)
+    if kind == HELD and len(data) == _HELD.size:
+        _, seq, *pose = _HELD.unpack(data)
+        return Drawn(seq, tuple(pose))
+    allowed = f"{_DRAWN.size} that begin with {DRAWN}, or {_HELD.size} that begin with {HELD}"
+    raise OrderError(f"a message: got {len(data)} bytes that begin with {kind}, allowed: {allowed}")
+
+
 def _refuse(constant: str) -> Any:
     raise ValueError(f"{constant} is no number of JSON")
+
+
+_JSON = json.JSONDecoder(parse_constant=_refuse)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..errors import FingerSimError
@@ -98,7 +98,7 @@ class Playback:
         picture.virtual = scene is not None and scene.coupling.type == "virtual"
         return picture
 
-    def pose(self, position: list[float], orientation: list[float]) -> None:
+    def pose(self, numbers: Sequence[float]) -> None:
         """Raises OrderError."""
         raise OrderError("pose: a recording cannot be held")
 

@@ -23,7 +23,7 @@ class Poses:
 
     def submit(self, numbers: Sequence[float]) -> None:
         """A pose came: position [m] and x y z w. Raises OrderError for one that is refused."""
-        x, y, z, a, b, c, d = (float(number) for number in numbers)
+        x, y, z, a, b, c, d = numbers
         try:
             pose = checked_pose(Pose((x, y, z), (a, b, c, d)), "pose")
         except SceneError as error:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 1
+VERSION = 2
 """Of what page and server say to each other."""
 TOPOLOGY, FRAME = 1, 2
 """First word of each kind."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..bags import cdr
 from ..bags.frames import MOVING, PLANE, STANDING
-from ..bags.layout import FLOAT, POINT_NAMES
+from ..bags.layout import FLOAT, POINT_NAMES, node_of_status
 from ..bags.poses import read_pose
 from ..bags.reader import BagReader, Message
 from ..errors import BagError, FingerSimError
@@ -22,7 +22,7 @@ from .protocol import Topology
 from .raw import CloudReader, read_wrench
 from .samples import PERIOD
 from .shape import topology_of
-from .words import NAME, Report
+from .words import Report
 
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 _THIN = round(1e9 * PERIOD)
@@ -72,7 +72,8 @@ class Tape:
         self.start = self.reader.start_time or 0
         self.cloud_times: list[float] = []
         self.contact, self.device, self.commands = Series(), Series(), Series()
-        self.reports, self.planes = Series(), Series()
+        self.planes = Series()
+        self._reports: dict[str, Series] = {}
         self._spool = tempfile.TemporaryFile()  # noqa: SIM115
         self._clouds = CloudReader()
         self._due = dict.fromkeys(("contact_wrench", "device_wrench", "command_pose"), 0)
@@ -82,6 +83,7 @@ class Tape:
             progress(1e-9 * (message.log_time - self.start), self.duration)
             self._take(message, found)
         self._spool.flush()
+        self.reports = self._own_reports()
         if not found or not self.cloud_times:
             lacks = "clouds of the mesh (mesh_points)" if found else "mesh (mesh_topology)"
             make = f"finger_sim run SCENE --bag {path}"
@@ -94,8 +96,10 @@ class Tape:
         """The topics of one node: the one whose clouds come first."""
         kinds = {cdr.POINT_CLOUD: "mesh_points", cdr.MESH: "mesh_topology"}
         clouds = [t.name for t in self.reader.topics if t.type == cdr.POINT_CLOUD and t.name.endswith("mesh_points")]
-        prefix = clouds[0].removesuffix("mesh_points") if clouds else "/"
-        named = {name: prefix + name for name in (*kinds.values(), "contact_wrench", "device_wrench", "command_pose")}
+        self._prefix = clouds[0].removesuffix("mesh_points") if clouds else "/"
+        named = {
+            name: self._prefix + name for name in (*kinds.values(), "contact_wrench", "device_wrench", "command_pose")
+        }
         self._named = {full: name for name, full in named.items()}
         self._topics = [*named.values(), "/diagnostics", MOVING, STANDING]
 
@@ -121,14 +125,23 @@ class Tape:
                 found.append(topology_of(cdr.deserialize(message.data, cdr.MESH)))
             elif name == "/diagnostics" and message.type == DIAGNOSTICS:
                 for status in cdr.deserialize(message.data, DIAGNOSTICS).status:
-                    if status.name == NAME:
+                    node = node_of_status(status.name)
+                    if node is not None:
                         values = {item.key: item.value for item in status.values}
-                        self.reports.add(time, Report(values, status.message, int(status.level)))
+                        report = Report(values, status.message, int(status.level))
+                        self._reports.setdefault(node, Series()).add(time, report)
             elif name in (MOVING, STANDING):
                 self._take_frames(message, time)
         except (ValueError, FingerSimError) as error:
             if not any(text.startswith(message.topic) for text in self.notes):
                 self.notes.append(f"{message.topic}: {error}")
+
+    def _own_reports(self) -> Series:
+        """Reports of the node whose clouds these are; its name alone tells it where only one reports."""
+        if len(self._reports) == 1:
+            return next(iter(self._reports.values()))
+        own = [series for node, series in self._reports.items() if node.rpartition("/")[0] + "/" == self._prefix]
+        return own[0] if own else Series()
 
     def _take_frames(self, message: Message, time: float) -> None:
         for transform in cdr.deserialize(message.data, cdr.TF_MESSAGE).transforms:

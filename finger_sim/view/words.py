@@ -9,8 +9,6 @@ from typing import Any
 
 from ..physics.step import Status
 
-NAME = "finger: simulation"
-"""Of the status of finger_sim's node in an array of diagnostics."""
 LEVELS = ("info", "warn", "error")
 TEXTS: Mapping[Status, tuple[str, str]] = {
     Status.NONFINITE: ("error", "a step gave no finite numbers and was not taken"),
@@ -25,10 +23,11 @@ TEXTS: Mapping[Status, tuple[str, str]] = {
 }
 """What each bit means, and how grave it is."""
 
-FED_SLOWLY = "a device is fed"
-"""How the node's warning begins that commands come slower than a device wants. A page that holds the finger is none."""
 _SEVERAL = re.compile(r"; (?!send )")
 """Between two problems; within one of them the node writes `; send …`, too."""
+
+_COUNTED = re.compile(r"([A-Z_|]+) in (\d+ of \d+ steps)")
+"""A problem that names status bits, and tells in how many steps one of them was set."""
 
 
 @dataclass
@@ -105,14 +104,20 @@ def status_of(report: Report, before: Report) -> dict[str, Any]:
 
 def words_of(report: Report) -> list[dict[str, str]]:
     """Its status bits in words, and its problems, of which those bits are some."""
-    status = report.status
-    found = [
-        {"code": bit.name or "", "text": text, "level": level} for bit, (level, text) in TEXTS.items() if bit & status
-    ]
-    problems = [] if report.message in ("", "ok") else _SEVERAL.split(report.message)
+    bits = {bit.name or "": said for bit, said in TEXTS.items() if bit & report.status}
+    often = dict.fromkeys(bits, "")
+    problems = []
+    for problem in [] if report.message in ("", "ok") else _SEVERAL.split(report.message):
+        counted = _COUNTED.fullmatch(problem)
+        if counted is not None and counted[1] in bits:
+            often[counted[1]] = f", in {counted[2]}"
+        elif counted is not None:
+            problems.append(f"one or several of these in {counted[2]}")
+        else:
+            problems.append(problem)
+    found = [{"code": name, "text": text + often[name], "level": level} for name, (level, text) in bits.items()]
     level = LEVELS[min(max(report.level, 0), 2)]
-    found += [{"code": "", "text": problem, "level": level} for problem in problems]
-    return found
+    return found + [{"code": "", "text": problem, "level": level} for problem in problems]
 
 
 def recording_of(report: Report) -> dict[str, Any]:

@@ -84,6 +84,7 @@ def test_topics_have_the_types_and_qualities_of_the_contract(client):
         ("/pose", "geometry_msgs/msg/PoseStamped", reliable, volatile),
         ("/mesh_points", "sensor_msgs/msg/PointCloud2", reliable, volatile),
         ("/mesh_topology", "shape_msgs/msg/Mesh", reliable, latched),
+        ("/device_wrench_throttle", "geometry_msgs/msg/WrenchStamped", reliable, volatile),
         ("/mesh_marker", "visualization_msgs/msg/Marker", reliable, volatile),
         ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", reliable, volatile),
     ):
@@ -248,6 +249,28 @@ def test_mesh_topics_show_the_deformed_block(client):
     assert points[:, 9].max() > 0.1
     assert len(marker.points) == len(marker.colors) == 3 * len(topology.triangles)
     assert cloud.header.frame_id == marker.header.frame_id == "world"
+
+
+def test_what_a_device_is_sent_is_repeated_for_viewers(client):
+    """Those of some steps, word for word, with the mesh of the same step; also where nobody wants the mesh."""
+    press = lambda: client.command(-0.0003)  # noqa: E731
+    repeated = client.collect(WrenchStamped, "device_wrench_throttle")
+    client.until(lambda: repeated and force(repeated[-1])[2] > 0.1, press)
+    clouds = client.collect(PointCloud2, "mesh_points")
+    client.next(clouds, press)
+    devices = client.collect(WrenchStamped, "device_wrench")
+    client.next(devices, press)
+    begin = len(repeated)
+    client.until(
+        lambda: (
+            len(repeated) > begin + 20 and min(stamp(devices[-1]), stamp(clouds[-1])) >= stamp(repeated[begin + 20])
+        ),
+        press,
+    )
+    sent, meshes = {stamp(device): device for device in devices}, set(map(stamp, clouds))
+    for wrench in repeated[begin + 1 : begin + 20]:
+        assert wrench == sent[stamp(wrench)]
+        assert stamp(wrench) in meshes
 
 
 def test_marker_colors_can_show_pressure(client):

@@ -37,7 +37,7 @@ def turn(state: Any, body: Any, copied: Any, counted: Any, stop: Any) -> int:
         body.steps[0] = k
         counted.steps[0] += 1
         if load_acquire(copied.asked, 0) != 0:
-            hand_over(copied, state, body, k, k)
+            hand_over(copied, state, body, body.pose[:6], k, k)
             take_counted(copied, counted)
             is_there(copied)
     return k
@@ -75,6 +75,7 @@ def test_copies_are_whole_while_steps_go_on(sim: Simulator) -> None:
             ):
                 assert (part == step).all()
             assert (copied.pose == step).all()
+            assert (copied.device == step).all()
             assert copied.stamp[0] == copied.at[0] == step
             assert copied.counted.steps[0] == step - before
             total += int(copied.counted.steps[0])
@@ -104,10 +105,12 @@ def test_a_copy_shows_what_the_simulator_has() -> None:
         pose = sim.scene.initial_pose
         x, y, z = pose.position
         sim.step(type(pose)((x, y, z - 2e-4 * k), pose.orientation))
-    hand_over(own, bare(sim.compiled.state), sim.compiled.body, 11, 12)
+    device = np.arange(6.0)
+    hand_over(own, bare(sim.compiled.state), sim.compiled.body, device, 11, 12)
     shown = snapshot.shown(sim, True)
     assert shown is not None
     assert (shown.stamp, shown.at) == (11, 12)
+    np.testing.assert_array_equal(shown.device, device)
     assert shown.pose == sim.pose
     assert shown.plane == sim.plane_pose
     np.testing.assert_array_equal(shown.positions, sim.positions)

@@ -7,11 +7,13 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from domains import DOMAINS
 from numpy.testing import assert_allclose
 from ros_helpers import Client, NodeProcess, command, environment, write_block
@@ -19,6 +21,7 @@ from view.serving import Page, until
 
 from finger_sim import Scene
 from finger_sim.bags.reader import BagReader
+from finger_sim.view.beside import page_beside
 
 LEVEL = [0.0, 0.0, 0.0, 1.0]
 
@@ -73,7 +76,7 @@ def children(parent: int, word: bytes) -> list[int]:
 def viewer(tmp_path_factory) -> Iterator[Viewer]:
     folder = tmp_path_factory.mktemp("view")
     scene = write_block(folder)
-    with Viewer(folder, "--scene", str(scene), "--out", str(folder / "bags"), "--device") as found:
+    with Viewer(folder, "--scene", str(scene), "--out", str(folder / "bags")) as found:
         yield found
 
 
@@ -96,7 +99,7 @@ def state(page: Page) -> dict:
 
 
 def drag(page: Page, z: float) -> None:
-    page.say("pose", position=[0.0, 0.0, z], orientation=LEVEL, t=0.0)
+    page.hold([0.0, 0.0, z, *LEVEL])
 
 
 def test_what_is_dragged_is_simulated(viewer, page) -> None:
@@ -116,7 +119,9 @@ def test_what_is_dragged_is_simulated(viewer, page) -> None:
         assert_allclose(np.sum([force for _, force, _ in frame.contacts], axis=0), frame.force, atol=1e-6)
         assert_allclose(frame.floats[33:36], [0.01, 0.005, 0.0], atol=2e-3)
         assert_allclose(frame.floats[37], 0.0005, atol=1e-4)
-        hand.until(lambda: hand.frames[-1].samples and hand.frames[-1].samples[-1][1] > 0.05)
+        hand.until(lambda: hand.frames[-1].floats[29] > 0.05, lambda: drag(hand, -0.0005))  # of the device, ramped in
+        _, normal, _, device, depth = hand.until(lambda: next(iter(hand.frames[-1].samples[-1:]), None))
+        assert min(normal, device, depth) > 0.05
         hand.until(lambda: state(hand)["contact_nodes"], lambda: drag(hand, -0.0005))
     page.until(lambda: page.said[-1]["type"] == "handle" and page.said[-1]["holder"] is None)
     page.until(lambda: any("stale" in word["text"] for word in state(page)["words"]))
@@ -172,15 +177,22 @@ def test_a_recording_is_made_and_fetched(viewer, page, tmp_path: Path) -> None:
     assert "recording already" in page.notice("record", on=True)
     page.say("record", on=False)
     done = page.next("recorded")
-    connection = http.client.HTTPConnection("127.0.0.1", viewer.port)
-    connection.request("GET", done["url"])
-    answer = connection.getresponse()
-    file = tmp_path / done["name"]
-    file.write_bytes(answer.read())
-    assert (answer.status, file.stat().st_size) == (200, done["bytes"])
-    topics = {topic.name: topic.count for topic in BagReader(file).topics}
-    assert topics["/contact_wrench"] > 10
+    assert fetched(viewer, done, tmp_path)["/contact_wrench"] > 10
+    assert (tmp_path / done["name"]).stat().st_size == done["bytes"]
+    with Page(viewer.port) as later:
+        assert later.next("hello")["recorded"][-1]["url"] == done["url"]
     assert "nothing is being recorded" in page.notice("record", on=False)
+
+
+def fetched(viewer: Viewer, offered: dict, folder: Path) -> dict[str, int]:
+    """Messages by topic in a recording that is offered; leaves it in the folder."""
+    connection = http.client.HTTPConnection("127.0.0.1", viewer.port)
+    connection.request("GET", offered["url"])
+    answer = connection.getresponse()
+    file = folder / offered["name"]
+    file.write_bytes(answer.read())
+    assert answer.status == 200
+    return {topic.name: topic.count for topic in BagReader(file).topics}
 
 
 def test_reset(viewer, page) -> None:
@@ -189,10 +201,13 @@ def test_reset(viewer, page) -> None:
     assert "at rest at position" in page.next("notice")["text"]
 
 
-def test_a_node_that_was_killed_comes_back(viewer, page) -> None:
-    """It is started again; the page gets another generation, and frames of it."""
+def test_a_node_that_was_killed_comes_back(viewer, page, tmp_path: Path) -> None:
+    """It is started again; the page gets another generation, and frames of it, and what was recorded until then."""
     generation, first = page.frames[-1].generation, viewer.node()
+    page.say("record", on=True)
+    page.until(lambda: state(page)["recording"]["on"])
     os.kill(first, signal.SIGKILL)
+    assert fetched(viewer, page.next("recorded"), tmp_path)["/contact_wrench"] > 10
     page.until(lambda: any("ended with code -9" in each.get("text", "") for each in page.said))
     page.until(lambda: page.frames[-1].generation > generation, limit=200.0)
     assert viewer.node() != first
@@ -217,57 +232,97 @@ def state_of(process: int) -> str:
         return "Z"
 
 
-def test_another_scene(viewer, page) -> None:
-    """The node is started with it; one that is not offered is refused."""
+def test_another_scene(viewer, page, tmp_path: Path) -> None:
+    """The node is started with it, and what was being recorded can be fetched; one that is not offered is refused."""
     assert "scene: got '/etc/passwd'" in page.notice("scene", name="/etc/passwd")
+    page.say("record", on=True)
+    assert "recording" in page.next("notice")["text"]
     page.say("scene", name="finger")
+    assert fetched(viewer, page.next("recorded"), tmp_path)["/mesh_topology"] == 1
     page.until(lambda: page.topologies[-1].rest.shape == (265, 3), limit=200.0)
     page.until(lambda: [each for each in page.said if each["type"] == "hello"][-1]["scene"] == "finger")
     page.until(lambda: len(page.frames[-1].positions) == 265 and state(page)["phase"] == "running", limit=200.0)
     assert sum(flag & 1 for flag in page.topologies[-1].flags) == 70
 
 
-def test_a_node_of_somebody_else(tmp_path: Path) -> None:
-    """It is waited for, shown, driven; when it ends the page says so, and comes back with the next one."""
-    domain, scene = next(DOMAINS), write_block(tmp_path)
-    with Viewer(tmp_path, "--join", "--node", "/left/finger", domain=domain) as viewer, Page(viewer.port) as page:
-        page.until(lambda: "no node /left/finger is heard" in state(page).get("message", ""))
-        arguments = ("-p", f"scene:={scene}", "-r", "__ns:=/left", "-p", "world_frame:=table")
+@pytest.fixture(scope="module")
+def others(tmp_path_factory) -> Iterator[Others]:
+    with Others(tmp_path_factory.mktemp("others")) as found:
+        yield found
+
+
+class Others:
+    """A node of somebody else, /left/finger, in a domain of its own; it can be started anew."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.domain, self._scene = folder, next(DOMAINS), write_block(folder)
+
+    def start(self) -> None:
+        arguments = ("-p", f"scene:={self._scene}", "-r", "__ns:=/left", "-p", "world_frame:=table")
+        self.node = NodeProcess(self.folder / f"node{time.monotonic()}.log", *arguments, domain=self.domain)
+
+    def __enter__(self) -> Others:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert self.node.end() == 0
+
+    def viewer(self, folder: Path, *arguments: str) -> Viewer:
+        """A page that has joined it."""
+        return Viewer(folder, "--join", "--node", "/left/finger", *arguments, domain=self.domain)
+
+
+def test_a_page_that_only_watches(others, tmp_path: Path) -> None:
+    """It shows a plane that others move, and changes nothing; what another node reports is not taken for its own."""
+    with others.viewer(tmp_path, "--watch") as viewer, Page(viewer.port) as page, Client(others.domain) as client:
+        runs(page)
+        assert page.said[0]["drive"] is False
+        assert "only shows" in page.notice("set", name="plane.friction", value=0.3)
+        assert "only shows" in page.notice("record", on=True)
+        assert "only shows" in page.notice("scene", name="finger")
+        assert "cannot be held" in page.notice("take")
+        another = DiagnosticArray(status=[DiagnosticStatus(name="finger: simulation", message="of another")])
+        pose = command(-0.002)
+        pose.header.frame_id = "table"
+        page.until(
+            lambda: abs(page.frames[-1].floats[16] + 0.002) < 1e-9,
+            lambda: (client.publish(pose, "/left/plane_pose"), client.publish(another, "/diagnostics")),
+        )
+        page.next("status")
+        assert not any(each.get("message") == "of another" for each in page.said)
+
+
+def test_a_node_of_somebody_else(others, tmp_path: Path) -> None:
+    """It is shown, driven; when it ends the page says so, and comes back with the next one."""
+    with others.viewer(tmp_path) as viewer, Page(viewer.port) as page:
         for turn in (1, 2):
-            with NodeProcess(tmp_path / f"node{turn}.log", *arguments, domain=domain) as node:
-                page.until(lambda turn=turn: page.frames and page.frames[-1].generation == turn, limit=200.0)
-                page.until(lambda: state(page)["phase"] == "running")
-                page.say("take")
-                page.until(lambda: page.frames[-1].pose[2] < 0.0096, lambda: drag(page, 0.0095))
-                page.say("release")
-                assert "somebody else runs" in page.notice("scene", name="finger")
-                assert node.end() == 0
-            page.until(lambda: state(page)["phase"] == "gone")
+            page.until(lambda turn=turn: page.frames and page.frames[-1].generation == turn, limit=200.0)
+            page.until(lambda: state(page)["phase"] == "running")
+            page.say("take")
+            page.until(lambda: page.frames[-1].pose[2] < 0.0096, lambda: drag(page, 0.0095))
+            page.say("release")
+            assert "somebody else runs" in page.notice("scene", name="finger")
+            if turn == 1:
+                assert others.node.end() == 0
+                page.until(lambda: state(page)["phase"] == "gone")
+                others.start()
 
 
-def test_a_page_that_only_watches(tmp_path: Path) -> None:
-    """It shows a plane that others move, and changes nothing."""
-    domain, scene = next(DOMAINS), write_block(tmp_path)
-    with NodeProcess(tmp_path / "node.log", "-p", f"scene:={scene}", domain=domain) as node:
-        node.wait_for("ready after")
-        with (
-            Viewer(tmp_path, "--join", "--watch", domain=domain) as viewer,
-            Page(viewer.port) as page,
-            Client(domain) as client,
-        ):
-            runs(page)
-            assert page.said[0]["drive"] is False
-            assert "only shows" in page.notice("set", name="plane.friction", value=0.3)
-            assert "only shows" in page.notice("record", on=True)
-            assert "only shows" in page.notice("scene", name="finger")
-            assert "cannot be held" in page.notice("take")
-            page.until(
-                lambda: abs(page.frames[-1].floats[16] + 0.002) < 1e-9,
-                lambda: client.publish(command(-0.002), "plane_pose"),
-            )
-        assert node.end() == 0
+def test_a_page_beside_something(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It only looks, its address is said, it says where no node is heard, and ends with what it is beside."""
+    domain = next(DOMAINS)
+    with page_beside(domain, tmp_path / "log"):
+        url = capsys.readouterr().err.partition("the page: ")[2].strip()
+        port = int(url.rpartition(":")[2].strip("/"))
+        with Page(port) as page:
+            assert page.next("hello")["drive"] is False
+            page.until(lambda: f"no node /finger is heard in ROS_DOMAIN_ID {domain}" in state(page).get("message", ""))
+    with pytest.raises(ConnectionRefusedError):
+        Page(port)
 
 
+@pytest.mark.slow
 def test_the_demo_on_a_page(tmp_path: Path) -> None:
     """It is shown live, by a page that only looks; the demo does its job as ever, and ends the page."""
     pytest.importorskip("matplotlib")
@@ -293,7 +348,6 @@ def test_the_demo_on_a_page(tmp_path: Path) -> None:
             runs(page)
             assert page.said[0]["drive"] is False
             page.until(lambda: page.frames[-1].flags & 1)
-            assert not page.frames[-1].flags & 4  # nothing is heard that the loop itself would wait for
             page.until_closed(limit=60.0)
         out, err = demo.communicate(timeout=60)
     assert demo.returncode == 0, err

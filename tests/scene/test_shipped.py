@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import zipfile
@@ -96,7 +97,7 @@ def test_live_values_do_not_need_the_mesh_file(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_wheel_brings_its_data_wherever_it_is_unpacked(tmp_path: Path) -> None:
-    """`pip install --target`: scenes, meshes and bags are found there, as under --user and --prefix; ROS has share/."""
+    """`pip install --target`: scenes, meshes, bags and the page are found there, as under --user; ROS has share/."""
     pip = [sys.executable, "-m", "pip", "--quiet"]
     command = [*pip, "wheel", "--no-deps", "--wheel-dir", str(tmp_path), str(REPOSITORY)]
     built = subprocess.run(command, capture_output=True, text=True, timeout=200)
@@ -115,6 +116,8 @@ def test_a_wheel_brings_its_data_wherever_it_is_unpacked(tmp_path: Path) -> None
         "from finger_sim.cli import main\n"
         "print(finger_sim.__file__)\n"
         "print([main(['info', name]) for name in ('press_flat', 'finger.vtu', 'presets/haptic')])\n"
+        "from finger_sim.view.files import PAGE, page_file\n"
+        "print('page', sum(len(page_file(path)[0]) for path in PAGE))\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(target)!r})\n{program}"],
@@ -125,4 +128,7 @@ def test_a_wheel_brings_its_data_wherever_it_is_unpacked(tmp_path: Path) -> None
     )
     assert str(target) in done.stdout, done.stderr
     assert "[0, 0, 0]" in done.stdout, done.stderr
+    (size,) = re.findall(r"^page (\d+)$", done.stdout, re.MULTILINE)
+    assert int(size) > 500e3
+    assert not [name for name in names if "view/page/" in name]
     assert f"bag {target}/finger_sim/data/bags/press_flat" in done.stdout.replace("\n", "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import os
 import time
 from collections.abc import Callable
@@ -29,6 +30,22 @@ WITHIN = 60.0
 """Longest wait for any condition [s]: this is drawn in software, maybe on half a core."""
 
 
+FRESH = """() => {
+  document.querySelectorAll("dialog[open]").forEach((each) => each.close());
+  document.querySelectorAll("details").forEach((each) => (each.open = each.matches(".group:first-child")));
+  document.querySelectorAll("main :is([type=radio], [type=checkbox])").forEach((each) => {
+    if (each.checked !== each.defaultChecked && (each.type === "checkbox" || each.defaultChecked)) each.click();
+  });
+  const filter = document.querySelector("#filter");
+  filter.value = "";
+  filter.dispatchEvent(new Event("input"));
+  document.querySelectorAll("#notices button").forEach((each) => each.click());
+  document.body.tabIndex = -1;
+  document.body.focus(); // from here on Tab goes through the page
+  document.body.removeAttribute("tabindex");
+}"""
+
+
 def launch(playwright: Playwright) -> Browser:
     """Raises playwright's Error where there is no Chromium."""
     return playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
@@ -43,6 +60,7 @@ class Tab:
         coarse = {} if os.environ.get(FOLDER) else {"device_scale_factor": 0.5}
         self.context = browser.new_context(**({"viewport": SMALL} | coarse | options))
         self.page: Page = self.context.new_page()
+        self.page.set_default_timeout(1e3 * WITHIN)
         self.errors: list[str] = []
         self.requests: list[str] = []
         self.page.on("console", self._console)
@@ -57,6 +75,18 @@ class Tab:
         # Chromium itself reports each try to connect while there is no server.
         if message.type in ("error", "warning") and "ERR_CONNECTION" not in message.text:
             self.errors.append(message.text)
+
+    def fresh(self) -> None:
+        """As it was opened: choices, layers, filter, focus; nothing is held."""
+        self.page.evaluate(FRESH)
+        self.live().until(lambda data: data["handle"] == "free")
+
+    def shown(self) -> None:
+        """Waits until what the server has now is shown, and looks at it as at first."""
+        seq = int(self.data["seq"])
+        self.until(lambda data: int(data["seq"]) > seq + 2)
+        self.page.evaluate("document.querySelector('[data-look=reset]').click()")
+        self.redrawn()
 
     @property
     def data(self) -> dict[str, str]:
@@ -118,3 +148,28 @@ def until(condition: Callable[[], bool], tab: Tab, within: float = WITHIN) -> No
     while not condition():
         assert time.monotonic() < end, f"not within {within:g} s; the page tells {tab.data}"
         tab.page.wait_for_timeout(POLL)
+
+
+def assert_apart(tab: Tab, touch: bool) -> None:
+    """Nothing overlaps or is cut off: the head fits, and what lies over the view lies apart."""
+    size = tab.page.viewport_size
+    assert size is not None
+    assert tab.page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+    panel = tab.page.evaluate("document.querySelector('#side').scrollWidth")
+    assert panel <= tab.page.evaluate("document.querySelector('#side').clientWidth")
+    boxes = {}
+    for name in ("#overlay-left", "#overlay-views", "#legend", "#keys", "#hand"):
+        box = tab.page.locator(name).bounding_box()
+        assert box is not None
+        boxes[name] = box
+    for (one, a), (other, b) in itertools.combinations(boxes.items(), 2):
+        apart = (
+            a["x"] + a["width"] <= b["x"] or b["x"] + b["width"] <= a["x"]
+            or a["y"] + a["height"] <= b["y"] or b["y"] + b["height"] <= a["y"]
+        )  # fmt: skip
+        assert apart, (one, other, a, b)
+    for button in tab.page.locator("header button:visible, header select:visible").all():
+        box = button.bounding_box()
+        assert box is not None
+        assert box["x"] + box["width"] <= size["width"]
+        assert not touch or box["height"] >= 40

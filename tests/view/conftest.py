@@ -42,6 +42,33 @@ def stub() -> Iterator[Any]:
     made.stop()
 
 
+@pytest.fixture(scope="module")
+def kept(browser: Any) -> Iterator[tuple[Any, Any]]:
+    """A made-up server and a page of it, which takes a second or more to load."""
+    from view.browser import Tab
+    from view.stub import Stub
+
+    made = Stub()
+    tab = Tab(browser, made.url)
+    yield made, tab
+    tab.close()
+    made.stop()
+
+
+@pytest.fixture
+def shared(kept: tuple[Any, Any]) -> Iterator[tuple[Any, Any]]:
+    """The same, as at first: for tests that need no page of their own. It may have no error, nor ask anybody else."""
+    made, tab = kept
+    made.forget()
+    tab.fresh()
+    made.forget()  # what a hand that was just let go still sent
+    made.tell({"type": "values", "values": made.values})
+    tab.shown()
+    yield made, tab
+    assert not tab.errors
+    assert asked([tab]) <= {"127.0.0.1"}
+
+
 @pytest.fixture
 def open_tab(browser: Any) -> Iterator[Callable[..., Any]]:
     """Opens pages; none may have an error or ask anybody but this machine."""
@@ -55,8 +82,12 @@ def open_tab(browser: Any) -> Iterator[Callable[..., Any]]:
 
     yield open_one
     errors = [error for tab in tabs for error in tab.errors]
-    hosts = {urlsplit(url).hostname for tab in tabs for url in tab.requests if not url.startswith("data:")}
     for tab in tabs:
         tab.close()
     assert not errors
-    assert hosts <= {"127.0.0.1"}
+    assert asked(tabs) <= {"127.0.0.1"}
+
+
+def asked(tabs: list[Any]) -> set[str | None]:
+    """Whom pages asked for anything."""
+    return {urlsplit(url).hostname for tab in tabs for url in tab.requests if not url.startswith("data:")}

@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import struct
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,7 @@ class Still:
         self.kind, self.drive = kind, drive
         self.samples = Samples()
         self.nodes, self.still = nodes, False
-        self.poses: list[tuple[list[float], list[float]]] = []
+        self.poses: list[tuple[float, ...]] = []
         self.done: list[Any] = []
         self.listened: list[bool] = []
         self.made = 0
@@ -79,8 +80,8 @@ class Still:
         self.samples.add(float(self.made), 1.0, 0.0, 0.0, 0.0)
         return picture
 
-    def pose(self, position: list[float], orientation: list[float]) -> None:
-        self.poses.append((position, orientation))
+    def pose(self, numbers: tuple[float, ...]) -> None:
+        self.poses.append(numbers)
 
     async def do(self, order: Any, hub: Hub) -> Mapping[str, Any] | None:
         if self.refuse:
@@ -167,6 +168,11 @@ class Page:
     def say(self, type: str, **fields: Any) -> None:
         self.socket.send(json.dumps({"type": type} | fields))
 
+    def hold(self, pose: Sequence[float]) -> None:
+        """Sends the finger to a position and x y z w."""
+        seq = self.frames[-1].seq if self.frames else 0
+        self.socket.send(struct.pack("<2I7d", 2, seq, *pose))
+
     def take(self, timeout: float = 0.01) -> None:
         """Takes one message, if one comes."""
         try:
@@ -183,7 +189,7 @@ class Page:
             self.frames.append(decode_frame(data))
             self.order.append("frame")
             if self.draws:
-                self.say("ack", seq=self.frames[-1].seq)
+                self.socket.send(struct.pack("<2I", 1, self.frames[-1].seq))
 
     def until(self, condition: Callable[[], Any], repeat: Callable[[], None] = lambda: None, limit: float = TIMEOUT):
         """Takes what comes until the condition is true; its value."""
@@ -212,4 +218,9 @@ class Page:
     def notice(self, type: str, **fields: Any) -> str:
         """What the server says to an order that it refuses."""
         self.say(type, **fields)
+        return str(self.next("notice")["text"])
+
+    def refusal(self, pose: Sequence[float]) -> str:
+        """What the server says to a pose that it refuses."""
+        self.hold(pose)
         return str(self.next("notice")["text"])

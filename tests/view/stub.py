@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import json
 import math
 import struct
@@ -25,6 +26,7 @@ from websockets.http11 import Request, Response
 
 import finger_sim
 from finger_sim import Scene
+from finger_sim.scene.mesh import TetMesh
 
 BUNDLE = Path(finger_sim.__file__).parent / "view" / "bundle"
 POLICY = (
@@ -44,12 +46,18 @@ def rotated(q: Any, v: Any) -> Any:
     return v + q[3] * t + np.cross(q[:3], t)
 
 
+@functools.cache
+def shipped() -> tuple[Scene, TetMesh]:
+    """What the made-up finger is made of."""
+    scene = Scene.load("finger_haptic")
+    return scene, scene.load_mesh()
+
+
 class Finger:
     """A finger that is flat where it would be in the plane, and a force that grows with the depth."""
 
     def __init__(self) -> None:
-        scene = Scene.load("finger_haptic")
-        mesh = scene.load_mesh()
+        scene, mesh = shipped()
         self.rest, self.triangles, self.tets, self.axes = mesh.points, mesh.surface, mesh.tets, mesh.axes
         self.marks = np.zeros(len(self.rest), np.uint8)
         for name, mark in MARKS.items():
@@ -183,16 +191,14 @@ class Stub:
         self.said: dict[str, list[dict[str, Any]]] = {}
         self.origins: list[str | None] = []
         self.holder: int | None = None
-        self.phase, self.message = "running", "ok"
-        self.mute = False
+        self.recorded: list[dict[str, Any]] = []
         self.time, self.playing, self.speed, self.duration = 0.0, False, 1.0, 6.0
-        self.script: Callable[[float], list[float]] | None = None
+        self.forget()
         self._clients: dict[int, ServerConnection] = {}
         self._acked: dict[int, int] = {}
         self._sent: dict[int, int] = {}
         self._number = 0
         self._recording = False
-        self._values = {entry["name"]: entry["value"] for entry in ITEMS}
         self._ready = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self.start()
@@ -200,6 +206,14 @@ class Stub:
     @property
     def url(self) -> str:
         return f"http://127.0.0.1:{self.port}/"
+
+    def forget(self) -> None:
+        """The finger is as at first, and nothing was said."""
+        self.finger.reset()
+        self.phase, self.message, self.mute = "running", "ok", False
+        self.script: Callable[[float], list[float]] | None = None
+        self.values = {entry["name"]: entry["value"] for entry in ITEMS}
+        self.said.clear()
 
     def start(self) -> None:
         self._ready.clear()
@@ -218,6 +232,11 @@ class Stub:
         """To all pages, from any thread."""
         assert self._loop is not None
         asyncio.run_coroutine_threadsafe(self._tell(message), self._loop).result(5.0)
+
+    @property
+    def pages(self) -> list[int]:
+        """Those that are open, by their numbers."""
+        return list(self._clients)
 
     @property
     def poses(self) -> list[list[float]]:
@@ -249,27 +268,33 @@ class Stub:
         )
         return Response(HTTPStatus.OK, "OK", headers, body)
 
+    def hello(self, client: int) -> dict[str, Any]:
+        """What a page is told first."""
+        bag = {"bag": {"name": "press_slide", "duration": self.duration}} if self.source == "bag" else {}
+        return {
+            "type": "hello", "version": 2, "source": self.source, "title": "finger_haptic", "client": client,
+            "drive": self.source == "node", "scenes": ["finger", "finger_coupled", "finger_haptic"],
+            "scene": "finger_haptic", "recorded": self.recorded, **bag,
+        }  # fmt: skip
+
     async def _client(self, connection: ServerConnection) -> None:
         self._number += 1
         me = self._number
-        bag = {"bag": {"name": "press_slide", "duration": self.duration}} if self.source == "bag" else {}
-        hello = {
-            "type": "hello", "version": 1, "source": self.source, "title": "finger_haptic", "client": me,
-            "drive": self.source == "node", "scenes": ["finger", "finger_coupled", "finger_haptic"],
-            "scene": "finger_haptic",
-        }  # fmt: skip
         with contextlib.suppress(ConnectionClosed):
-            await connection.send(json.dumps(hello | bag))
+            await connection.send(json.dumps(self.hello(me)))
             await connection.send(self.finger.topology())
-            items = [entry | {"value": self._values[entry["name"]]} for entry in ITEMS]
+            items = [entry | {"value": self.values[entry["name"]]} for entry in ITEMS]
             await connection.send(json.dumps({"type": "parameters", "items": items}))
             await connection.send(json.dumps(self._status()))
             await connection.send(json.dumps({"type": "handle", "holder": self.holder}))
             if self.source == "bag":
                 await connection.send(json.dumps(self._position()))
             self._clients[me], self._acked[me], self._sent[me] = connection, 0, 0
-            async for text in connection:
-                await self._heard(me, json.loads(text))
+            async for data in connection:
+                if isinstance(data, str):
+                    await self._heard(me, json.loads(data))
+                else:
+                    self._drawn(me, data)
         self._clients.pop(me, None)
         if self.holder == me:
             self.holder = None
@@ -278,16 +303,10 @@ class Stub:
     async def _heard(self, me: int, message: dict[str, Any]) -> None:
         kind = message["type"]
         self.said.setdefault(kind, []).append(message | {"client": me})
-        if kind == "ack":
-            self._acked[me] = message["seq"]
-        elif kind == "take" and self.holder is None:
+        if kind == "take" and self.holder is None:
             self.holder = me
         elif kind == "release" and self.holder == me:
             self.holder = None
-        elif kind == "pose" and self.holder == me:
-            before = np.array(self.finger.command)
-            self.finger.command = [*message["position"], *message["orientation"]]
-            self.finger.move(0.0, before)
         elif kind == "reset":
             self.finger.reset()
         elif kind == "seek":
@@ -297,9 +316,8 @@ class Stub:
         elif kind == "record":
             self._recording = message["on"]
             if not self._recording:
-                await self._tell(
-                    {"type": "recorded", "name": "press.mcap", "url": "/recordings/press.mcap", "bytes": 4}
-                )
+                self.recorded.append({"name": "press.mcap", "url": "/recordings/press.mcap", "bytes": 4})
+                await self._tell({"type": "recorded"} | self.recorded[-1])
         elif kind == "yaml":
             await self._tell({"type": "yaml", "text": "mesh: {file: finger.vtu}\n", "name": "finger_haptic"})
         elif kind == "set":
@@ -309,11 +327,22 @@ class Stub:
         if kind in ("play", "seek"):
             await self._tell(self._position())
 
+    def _drawn(self, me: int, data: bytes) -> None:
+        """A page has drawn a frame, and maybe sends the finger somewhere."""
+        kind, self._acked[me] = struct.unpack_from("<2I", data)
+        assert (kind, len(data)) in ((1, 8), (2, 64))
+        if kind == 2:
+            pose = list(struct.unpack_from("<7d", data, 8))
+            self.said.setdefault("pose", []).append({"position": pose[:3], "orientation": pose[3:], "client": me})
+            if self.holder == me:
+                before, self.finger.command = np.array(self.finger.command), pose
+                self.finger.move(0.0, before)
+
     async def _set(self, name: str, value: Any) -> None:
         if name == "plane.friction" and value > 100.0:
             await self._tell({"type": "notice", "level": "warn", "text": "plane.friction: 0 to 100 is allowed"})
             return
-        self._values[name] = value
+        self.values[name] = value
         if name == "plane.friction":
             self.finger.friction = value
         elif name == "plane.point":

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from view.browser import TABLET, TINY, WIDE, Tab, until
+from view.browser import TABLET, TINY, WIDE, Tab, assert_apart, until
 
 PAD = """
 window.padAxes = [0, 0, 0, 0]; window.padButtons = Array(17).fill(0); window.rumbles = [];
@@ -19,6 +19,14 @@ navigator.getGamepads = () => [{
 }];
 """
 """A gamepad that a browser without one has."""
+
+
+NO_WEBGL = """
+const getContext = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+  return kind.startsWith("webgl") ? null : getContext.call(this, kind, ...more);
+};
+"""
 
 
 def heights(stub: Any) -> np.ndarray:
@@ -39,6 +47,7 @@ def press(tab: Tab, down: int = 60) -> None:
 def test_a_drag_presses_and_lets_go(stub: Any, open_tab: Any) -> None:
     """Poses that fall arrive at the server, the force rises and is shown; let go, the finger springs off the plane."""
     tab = open_tab(stub.url, viewport=WIDE).live()
+    assert_apart(tab, touch=False)
     tab.keep("free")
     press(tab)
     pressed = tab.until(lambda data: float(data["force"] or 0) > 2.0)
@@ -58,9 +67,9 @@ def test_a_drag_presses_and_lets_go(stub: Any, open_tab: Any) -> None:
     assert stub.said["release"]
 
 
-def test_a_drag_moves_in_the_plane_of_the_view(stub: Any, open_tab: Any) -> None:
+def test_a_drag_moves_in_the_plane_of_the_view(shared: Any) -> None:
     """Looked at from the side, right is along the finger and nothing across."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     tab.page.locator("[data-look=side]").click()
     tab.redrawn()
     x, y = tab.finger()
@@ -72,9 +81,9 @@ def test_a_drag_moves_in_the_plane_of_the_view(stub: Any, open_tab: Any) -> None
     tab.page.mouse.up()
 
 
-def test_the_right_button_and_the_ring_turn(stub: Any, open_tab: Any) -> None:
+def test_the_right_button_and_the_ring_turn(shared: Any) -> None:
     """The finger turns about its own origin."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     x, y = tab.finger()
     first = stub.finger.command[3:]
     tab.page.mouse.move(x, y)
@@ -86,6 +95,7 @@ def test_the_right_button_and_the_ring_turn(stub: Any, open_tab: Any) -> None:
     tab.page.mouse.up(button="right")
     tab.until(lambda data: data["handle"] == "free")
     tab.page.locator("#drag input[value=turn]").check(force=True)
+    tab.redrawn()  # with the ring
     second = list(stub.finger.command[3:])
     tab.page.mouse.move(x + 84, y)
     tab.page.mouse.down()
@@ -96,20 +106,22 @@ def test_the_right_button_and_the_ring_turn(stub: Any, open_tab: Any) -> None:
     tab.page.mouse.up()
 
 
-def test_one_page_at_a_time_holds(stub: Any, open_tab: Any) -> None:
+def test_one_page_at_a_time_holds(shared: Any, open_tab: Any) -> None:
     """The other says who does, offers nothing, and takes it when it is let go; one that closes in a drag lets go."""
-    one, two = open_tab(stub.url, **TINY).live(), open_tab(stub.url, **TINY).live()
+    stub, one = shared
+    two = open_tab(stub.url, **TINY).live()
     one.page.locator("#hold").click()
     one.until(lambda data: data["handle"] == "mine")
     two.until(lambda data: data["handle"] == "other")
-    assert two.text("#hand-text") == "Page 1 holds it"
+    first = stub.holder
+    assert two.text("#hand-text") == f"Page {first} holds it"
     assert two.page.locator("#hold").is_disabled()
     x, y = two.finger()
     two.page.mouse.move(x, y)
     two.page.mouse.down()
     two.page.mouse.move(x, y + 30, steps=3)
     two.page.mouse.up()
-    assert {said["client"] for said in stub.said["pose"]} == {1}
+    assert {said["client"] for said in stub.said["pose"]} == {first}
     one.page.locator("#hold").click()
     two.until(lambda data: data["handle"] == "free")
     press(two, 15)
@@ -119,9 +131,9 @@ def test_one_page_at_a_time_holds(stub: Any, open_tab: Any) -> None:
     assert stub.holder is None
 
 
-def test_a_window_that_is_left_lets_go(stub: Any, open_tab: Any) -> None:
+def test_a_window_that_is_left_lets_go(shared: Any) -> None:
     """As when another program comes to the front."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     tab.page.locator("#hold").click()
     tab.until(lambda data: data["handle"] == "mine")
     tab.page.evaluate("window.dispatchEvent(new Event('blur'))")
@@ -129,9 +141,23 @@ def test_a_window_that_is_left_lets_go(stub: Any, open_tab: Any) -> None:
     until(lambda: stub.holder is None, tab)
 
 
-def test_parameters_are_set_and_put_back(stub: Any, open_tab: Any) -> None:
+def test_a_browser_that_cannot_draw_shows_numbers(stub: Any, open_tab: Any) -> None:
+    """Without WebGL the force goes on being told and plotted, the page says what is missing, and values can be set."""
+    tab = open_tab(stub.url, before=NO_WEBGL)
+    stub.finger.command[2] -= 0.004
+    tab.until(lambda data: float(data["force"] or 0) > 1.0 and int(data["seq"]) > 20)
+    assert "no WebGL" in tab.text(".nowebgl")
+    assert float(tab.text("#value-normal")) > 1.0
+    tab.page.locator("[data-group=often] [data-name='plane.friction'] input[type=range]").focus()
+    tab.page.keyboard.press("ArrowRight")
+    until(lambda: "set" in stub.said, tab)
+    assert all("WebGL" in error for error in tab.errors)
+    tab.errors.clear()
+
+
+def test_parameters_are_set_and_put_back(shared: Any) -> None:
     """By slider and number field, with what is refused said and put back."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     field = tab.page.locator("[data-group=often] [data-name='plane.friction']")
     field.locator("input[type=range]").focus()
     tab.page.keyboard.press("ArrowRight")
@@ -157,9 +183,9 @@ def test_parameters_are_set_and_put_back(stub: Any, open_tab: Any) -> None:
     until(lambda: "step 0.42 ms" in level.inner_text() and "0.01 % rms" in level.inner_text(), tab)
 
 
-def test_the_plane_is_tilted_and_raised(stub: Any, open_tab: Any) -> None:
+def test_the_plane_is_tilted_and_raised(shared: Any) -> None:
     """By sliders that say it as people think of it."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     tab.page.locator("[data-name='Plane height'] input").fill("2.5")
     until(lambda: "set" in stub.said, tab)
     assert stub.said["set"][-1]["name"] == "plane.point"
@@ -172,9 +198,9 @@ def test_the_plane_is_tilted_and_raised(stub: Any, open_tab: Any) -> None:
     tab.keep("tilted")
 
 
-def test_the_filter_finds_by_meaning(stub: Any, open_tab: Any) -> None:
+def test_the_filter_finds_by_meaning(shared: Any) -> None:
     """Words of a name or of what it means; nothing found is said."""
-    tab = open_tab(stub.url).live()
+    _, tab = shared
     tab.page.locator("#filter").fill("coulomb")
     shown = tab.page.locator("#groups .field:visible")
     assert [each.get_attribute("data-name") for each in shown.all()] == ["plane.friction"]
@@ -184,9 +210,9 @@ def test_the_filter_finds_by_meaning(stub: Any, open_tab: Any) -> None:
     assert shown.count() > 5
 
 
-def test_strain_is_seen(stub: Any, open_tab: Any) -> None:
+def test_strain_is_seen(shared: Any) -> None:
     """A pressed finger has other pixels than a free one, and so has each quantity that colour shows."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     for layer in ("contacts", "forces", "nail"):
         tab.page.evaluate(f"document.querySelector('[data-layer={layer}]').click()")
     free = tab.picture()
@@ -206,9 +232,9 @@ def test_strain_is_seen(stub: Any, open_tab: Any) -> None:
     assert tab.text("#legend-title") == "Displacement [mm]"
 
 
-def test_layers_are_drawn(stub: Any, open_tab: Any) -> None:
+def test_layers_are_drawn(shared: Any) -> None:
     """Each changes what is seen, and has its key where marks need one."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     stub.finger.command[2] -= 0.004
     tab.until(lambda data: int(data["sticks"] or 0) > 0)
     before = tab.picture()
@@ -222,9 +248,9 @@ def test_layers_are_drawn(stub: Any, open_tab: Any) -> None:
     tab.keep("layers")
 
 
-def test_sticking_and_slipping_are_told_apart(stub: Any, open_tab: Any) -> None:
+def test_sticking_and_slipping_are_told_apart(shared: Any) -> None:
     """In numbers beside marks of different shape."""
-    tab = open_tab(stub.url, viewport=WIDE).live()
+    stub, tab = shared
     stub.script = lambda now: [0.0, 0.03 * (now % 0.7), 0.0065, *stub.finger.command[3:]]
     tab.until(lambda data: int(data["slips"] or 0) > 3)
     slipping = tab.text("#key-slips")
@@ -233,9 +259,9 @@ def test_sticking_and_slipping_are_told_apart(stub: Any, open_tab: Any) -> None:
     tab.keep("slide")
 
 
-def test_the_page_comes_back_by_itself(stub: Any, open_tab: Any) -> None:
+def test_the_page_comes_back_by_itself(shared: Any) -> None:
     """A server that goes leaves no number behind; when it is back, the page is live again."""
-    tab = open_tab(stub.url, viewport=WIDE).live()
+    stub, tab = shared
     stub.finger.command[2] -= 0.004
     tab.until(lambda data: float(data["force"] or 0) > 1.0)
     tab.page.locator("#hold").click()
@@ -258,9 +284,9 @@ def test_the_page_comes_back_by_itself(stub: Any, open_tab: Any) -> None:
     tab.until(lambda data: data["handle"] == "free" and data["force"] != "")
 
 
-def test_a_node_that_starts_or_is_gone_is_said(stub: Any, open_tab: Any) -> None:
+def test_a_node_that_starts_or_is_gone_is_said(shared: Any) -> None:
     """In words, with no number left from before."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     stub.phase, stub.message = "starting", "compiling: 40 %"
     tab.until(lambda data: data["condition"] == "starting" and data["force"] == "")
     assert tab.text("#veil-text") == "compiling: 40 %"
@@ -271,18 +297,18 @@ def test_a_node_that_starts_or_is_gone_is_said(stub: Any, open_tab: Any) -> None
     tab.until(lambda data: data["condition"] == "live" and data["force"] != "")
 
 
-def test_a_silent_server_is_said(stub: Any, open_tab: Any) -> None:
+def test_a_silent_server_is_said(shared: Any) -> None:
     """Its last numbers do not stay as if they were live."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     stub.mute = True
     tab.until(lambda data: data["condition"] == "silent" and data["force"] == "")
     stub.mute = False
     tab.until(lambda data: data["condition"] == "live" and data["force"] != "")
 
 
-def test_buttons(stub: Any, open_tab: Any) -> None:
-    """Reset, record with a bag to fetch, scene and YAML."""
-    tab = open_tab(stub.url).live()
+def test_buttons(shared: Any) -> None:
+    """Reset, record with a bag to fetch, which a page that comes later is told of; scene and YAML."""
+    stub, tab = shared
     tab.page.locator("#reset").click()
     tab.page.locator("#record").click()
     tab.until(lambda data: data["recording"] == "press")
@@ -291,6 +317,9 @@ def test_buttons(stub: Any, open_tab: Any) -> None:
     with tab.page.expect_download() as download:
         link.click()
     assert download.value.suggested_filename == "press.mcap"
+    (page,) = stub.pages
+    stub.tell(stub.hello(page) | {"recorded": 2 * stub.recorded})
+    link.nth(1).wait_for()
     tab.page.locator("#scene").select_option("finger_coupled")
     tab.page.locator("#yaml").click()
     text = tab.page.locator("#yaml-text")
@@ -324,9 +353,9 @@ def test_a_recording_is_played(stub: Any, open_tab: Any) -> None:
     tab.keep("recording")
 
 
-def test_a_virtual_coupling_has_a_ghost(stub: Any, open_tab: Any) -> None:
+def test_a_virtual_coupling_has_a_ghost(shared: Any) -> None:
     """The commanded pose and its spring are drawn, and have a key."""
-    tab = open_tab(stub.url).live()
+    stub, tab = shared
     stub.finger.command[2] -= 0.004
     tab.until(lambda data: float(data["force"] or 0) > 1.0)
     assert not tab.page.locator("#key-ghost").is_visible()
@@ -335,9 +364,10 @@ def test_a_virtual_coupling_has_a_ghost(stub: Any, open_tab: Any) -> None:
     tab.keep("coupled")
 
 
-def test_a_gamepad_moves_and_rumbles(stub: Any, open_tab: Any) -> None:
+def test_a_gamepad_moves_and_rumbles(shared: Any) -> None:
     """A stick moves in the plane, a trigger presses, the pad rumbles with the force, and B lets go."""
-    tab = open_tab(stub.url, before=PAD).live()
+    stub, tab = shared
+    tab.page.evaluate(PAD)
     tab.page.evaluate("window.padAxes[0] = 0.8")
     until(lambda: len(stub.poses) > 3 and np.ptp(np.array(stub.poses)[:, :2], axis=0).max() > 1e-3, tab)
     assert np.ptp(heights(stub)) < 1e-5
@@ -347,11 +377,13 @@ def test_a_gamepad_moves_and_rumbles(stub: Any, open_tab: Any) -> None:
     assert all(0.0 <= how["strongMagnitude"] <= 1.0 for how in rumbles)
     tab.page.evaluate("window.padButtons[7] = 0; window.padButtons[1] = 1")
     tab.until(lambda data: data["handle"] == "free" and float(data["force"] or 9) == 0.0)
+    tab.page.evaluate("delete navigator.getGamepads")
 
 
 def test_touch(stub: Any, open_tab: Any) -> None:
     """On a tablet: a tap chooses what a drag does, a finger on the glass presses the finger on the plane."""
     tab = open_tab(stub.url, viewport=TABLET, has_touch=True, is_mobile=True).live()
+    assert_apart(tab, touch=True)
     tab.page.locator("#drag label").nth(1).tap()
     x, y = tab.finger()
     client = tab.context.new_cdp_session(tab.page)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import for_each
 from numpy.testing import assert_allclose
 from view.serving import Served, until
 
@@ -21,6 +22,7 @@ from finger_sim.scene import place
 from finger_sim.scene.resources import find_bag
 from finger_sim.view.playback import Playback
 from finger_sim.view.recording import Recording
+from finger_sim.view.tape import DIAGNOSTICS
 
 START = 1_700_000_000_000_000_000
 CLOUDS, RATE = 60, 20.0
@@ -210,6 +212,40 @@ def test_a_bag_that_says_nothing_of_its_making(tmp_path: Path) -> None:
         assert [node for node, _, _ in frame.contacts] == [0, 3]
         assert_allclose(frame.samples[-1][1:3], [6e-3, 3e-3], atol=1e-7)
     assert any("not known" in note for note in Recording(path).notes)
+
+
+@for_each(
+    "names, shown",
+    [
+        (("finger: simulation", "left/finger: simulation"), "left/finger: simulation"),
+        (("left/finger: simulation", "finger: simulation"), "left/finger: simulation"),
+        (("finger: simulation",), "finger: simulation"), (("left/joystick: buttons",), None),
+        (("finger: simulation", "right/finger: simulation"), None),
+    ],
+)  # fmt: skip
+def test_reports_are_of_the_node_that_is_shown(names, shown, tmp_path: Path) -> None:
+    """Those of another that were recorded with them are left out; where only one reports, its name does not matter."""
+    mesh = SCENE.load_mesh()
+    path = tmp_path / str(sum(1 for _ in tmp_path.iterdir()))
+    with BagWriter(path) as bag:
+        topics = {"/left/mesh_topology": cdr.MESH, "/left/mesh_points": cdr.POINT_CLOUD, "/diagnostics": DIAGNOSTICS}
+        for topic, kind in topics.items():
+            bag.add_topic(topic, kind)
+        bag.write("/left/mesh_topology", cdr.mesh(mesh.points, mesh.surface), START)
+        points = pack_points(mesh.points, mesh.points, 0.0 * mesh.points, np.zeros(len(mesh.points)))
+        bag.write("/left/mesh_points", cdr.point_cloud(START, "world", points), START)
+        for name in names:
+            bag.write("/diagnostics", report(name), START)
+    told = Recording(path).tape.reports.at(1.0)
+    assert (told.message if told else None) == shown
+
+
+def report(name: str) -> bytes:
+    """A DiagnosticArray with one status, whose message is its name, too."""
+    kinds = (DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticStatus", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+    array, status, header, time = (cdr.typestore().types[kind] for kind in kinds)
+    told = array(header(time(0, 0), ""), [status(0, name, name, "", [])])
+    return bytes(cdr.typestore().serialize_cdr(told, DIAGNOSTICS))
 
 
 def test_bags_without_a_finger_are_refused(tmp_path: Path, capsys) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import http.client
 import json
 import socket
+import struct
 import time
 import zipfile
 from io import BytesIO
@@ -21,7 +22,7 @@ from finger_sim.view.files import Recordings
 from finger_sim.view.guard import Guard
 from finger_sim.view.hub import AHEAD, MOST_CLIENTS
 
-POSE = {"position": [0.0, 0.0, 0.01], "orientation": [0.0, 0.0, 0.0, 1.0]}
+POSE = (0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 1.0)
 
 
 @pytest.fixture
@@ -125,7 +126,7 @@ def test_a_page_is_told_all_in_order(served) -> None:
         page.until(lambda: len(page.frames) > 3)
         assert page.order[:5] == ["hello", "topology", "parameters", "status", "handle"]
         hello = page.said[0]
-        assert (hello["version"], hello["source"], hello["drive"], hello["scenes"]) == (1, "node", True, ["a", "b"])
+        assert (hello["version"], hello["source"], hello["drive"], hello["scenes"]) == (2, "node", True, ["a", "b"])
         assert page.said[2]["rate"] is None
         assert page.frames[0].flags & 16
         assert not page.frames[1].flags & 16
@@ -143,15 +144,15 @@ def test_nobody_is_listened_for_without_a_page(served) -> None:
 def test_one_page_holds_the_finger(served) -> None:
     """Only its poses are sent; another one's are refused; it is free once the holder lets go or has gone."""
     with served.page() as one:
-        assert "only the page that holds" in one.notice("pose", **POSE)
+        assert "only the page that holds" in one.refusal(POSE)
         one.say("take")
         me = one.next("handle")["holder"]
         with served.page() as two:
             assert two.until(lambda: [each for each in two.said if each["type"] == "handle"])[0]["holder"] == me
             assert f"held by page {me}" in two.notice("take")
-            assert "only the page that holds" in two.notice("pose", **POSE)
-            one.say("pose", **POSE)
-            until(lambda: served.source.poses == [(POSE["position"], POSE["orientation"])])
+            assert "only the page that holds" in two.refusal(POSE)
+            one.hold(POSE)
+            until(lambda: served.source.poses == [POSE])
             one.say("release")
             assert two.next("handle")["holder"] is None
             two.say("take")
@@ -159,7 +160,7 @@ def test_one_page_holds_the_finger(served) -> None:
             two.socket.socket.shutdown(socket.SHUT_RDWR)  # without a word
         one.until(lambda: one.said[-1]["type"] == "handle" and one.said[-1]["holder"] is None)
         count = len(served.source.poses)
-        assert "only the page that holds" in one.notice("pose", **POSE)
+        assert "only the page that holds" in one.refusal(POSE)
         assert len(served.source.poses) == count
 
 
@@ -173,11 +174,11 @@ def test_bad_messages_end_nothing(served) -> None:
     """Each is answered by a notice; frames go on coming."""
     with served.page() as page:
         page.next("hello")
-        for text in ("", "{", "[]", '{"type": "fly"}', '{"type": "frames", "hz": 1e9}', "\0", '{"type": "ack"}'):
+        for text in ("", "{", "[]", '{"type": "fly"}', '{"type": "frames", "hz": 1e9}', "\0", '{"type": "pose"}'):
             page.socket.send(text)
             assert page.next("notice")["level"] == "warn"
         page.socket.send(b"\x01\x02")
-        assert "allowed: a text" in page.next("notice")["text"]
+        assert "got 2 bytes" in page.next("notice")["text"]
         served.source.refuse = "not now"
         assert page.notice("reset") == "not now"
         count = len(page.frames)
@@ -185,10 +186,15 @@ def test_bad_messages_end_nothing(served) -> None:
 
 
 def test_a_message_in_parts_is_one(served) -> None:
-    """A text that comes in several frames."""
+    """A text that comes in several frames, and bytes."""
     with served.page() as page:
         page.socket.send(iter(['{"type": ', '"yaml"', "}"]))
         assert page.next("yaml")["name"] == "a.yaml"
+        page.say("take")
+        page.next("handle")
+        data = struct.pack("<2I7d", 2, 0, *POSE)
+        page.socket.send(iter([data[:9], data[9:40], data[40:]]))
+        until(lambda: served.source.poses == [POSE])
 
 
 @for_each("size, code", [(65 * 1024, 1009), (2**21, 1009)])
@@ -247,7 +253,7 @@ def test_who_has_not_drawn_gets_no_more_and_then_the_newest(served) -> None:
         quick.until(lambda: len(quick.frames) > count + 15)
         slow.take(0.1)
         assert len(slow.frames) == AHEAD
-        slow.say("ack", seq=slow.frames[-1].seq)
+        slow.socket.send(struct.pack("<2I", 1, slow.frames[-1].seq))
         slow.until(lambda: len(slow.frames) > AHEAD)
         assert slow.frames[AHEAD].seq > slow.frames[AHEAD - 1].seq + 10
         assert len(slow.frames[AHEAD].samples) > 10  # none of those between is missing

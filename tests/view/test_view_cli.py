@@ -19,6 +19,7 @@ from finger_sim.cli import main
         (["--port"], "expected one argument"),
         (["--adress", "127.0.0.1"], "unrecognized arguments"),
         (["one", "two"], "unrecognized arguments"),
+        (["--device"], "unrecognized arguments"),
     ],
 )
 def test_arguments_that_cannot_be_read(arguments, told, capsys) -> None:
@@ -35,6 +36,8 @@ def test_arguments_that_cannot_be_read(arguments, told, capsys) -> None:
         (["press_slide", "--scene", "finger"], "--scene: goes not with BAG"),
         (["press_slide", "--join"], "--join: goes not with BAG"),
         (["press_slide", "--out", "x"], "--out: goes not with BAG"),
+        (["press_slide", "--watch"], "--watch: goes not with BAG"),
+        (["press_slide", "--node", "/finger"], "--node: goes not with BAG"),
         (["--join", "--scene", "finger"], "--scene: goes not with --join"),
         (["--join", "--out", "x"], "--out: goes not with --join"),
         (["--node", "/finger"], "--node: goes only with --join"),

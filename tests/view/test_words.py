@@ -52,6 +52,19 @@ def test_problems_are_told_one_by_one() -> None:
     ]  # fmt: skip
 
 
+def test_how_often_a_bit_was_set_is_told_with_it() -> None:
+    """Not once more as a problem; where several were set, the node counts them together."""
+    one = words_of(Report(VALUES, "LIMIT_EXCEEDED in 9 of 200 steps; slow", 1))
+    assert [(word["code"], word["text"].partition(", in ")[2]) for word in one] == [
+        ("LOCKED", ""), ("LIMIT_EXCEEDED", "9 of 200 steps"), ("", "")
+    ]  # fmt: skip
+    assert one[-1]["text"] == "slow"
+    status = {"status": "ROW_LIMIT|LIMIT_EXCEEDED"}
+    several = words_of(Report(VALUES | status, "ROW_LIMIT|LIMIT_EXCEEDED in 9 of 200 steps", 1))
+    assert [word["code"] for word in several] == ["ROW_LIMIT", "LIMIT_EXCEEDED", ""]
+    assert several[-1]["text"] == "one or several of these in 9 of 200 steps"
+
+
 def test_the_error_of_a_level_is_the_measured_one() -> None:
     """Of the scene's own level; of the other one only where it was measured, too; nothing is made up."""
     scene = Scene.load("finger_haptic")

@@ -28,7 +28,7 @@ export function startActions(say: (message: Said) => void): Actions {
   const enable = (): void => {
     scene.disabled = !live || !drives || scene.options.length < 2;
     record.disabled = byId<HTMLButtonElement>("reset").disabled = !live || !drives;
-    byId<HTMLButtonElement>("yaml").disabled = !live || !drives;
+    byId<HTMLButtonElement>("yaml").disabled = !live;
   };
 
   const notice = (level: Level, text: string): void => {
@@ -82,7 +82,7 @@ export function startActions(say: (message: Said) => void): Actions {
     reset,
     help,
     welcome: (hello) => {
-      drives = hello.source === "node";
+      drives = hello.drive;
       const names = hello.scenes.includes(hello.scene) ? hello.scenes : [hello.scene, ...hello.scenes];
       scene.replaceChildren(...names.map((name) => make("option", { value: name }, name)));
       scene.value = hello.scene;

@@ -33,8 +33,8 @@ export class Ghost {
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(topology.rest, 3));
     geometry.setIndex(new BufferAttribute(topology.triangles, 1));
-    this.edges = new LineSegments(new EdgesGeometry(geometry, 12), new LineBasicMaterial({ transparent: true, opacity: 0.45 }));
-    this.fill = new Mesh(geometry, new MeshBasicMaterial({ transparent: true, opacity: 0.07, depthWrite: false }));
+    this.edges = new LineSegments(new EdgesGeometry(geometry, 12), new LineBasicMaterial({ transparent: true, opacity: 0.75 }));
+    this.fill = new Mesh(geometry, new MeshBasicMaterial({ transparent: true, opacity: 0.12, depthWrite: false }));
     this.edges.renderOrder = this.fill.renderOrder = 3;
     this.body.add(this.fill, this.edges);
     const coil = new BufferGeometry();

@@ -22,11 +22,12 @@ export class Hand {
   constructor(
     private readonly world: World,
     say: (message: Said) => void,
+    send: (pose: number[]) => void,
     pause: () => void,
     actions: Actions,
   ) {
     const { stage } = world;
-    this.handle = new Handle(say, world.ground, () => this.show());
+    this.handle = new Handle(say, send, world.ground, () => this.show());
     const springs = byId<HTMLInputElement>("springs");
     this.grip = new Grip(stage, world, this.handle, () => !springs.checked, () => this.show());
     this.pad = new Pad(stage, world, this.handle, (name) => {

@@ -14,7 +14,7 @@ const CLEAR = 0.003; // m above the plane, where a finger that is let go comes t
 const ARRIVED = 5e-5; // m
 const LONGEST_RETURN = 1.2; // s
 const STEP = 0.004; // s, of the spring
-const ASKING = 2; // s after which a question that nobody answers is dropped
+const ASKING = 5; // s after which a question that nobody answers is dropped
 
 interface Pose {
   position: Vector3;
@@ -39,8 +39,10 @@ export class Handle {
   private skin: Vector3[] = [];
   private frame: Frame | null = null;
 
+  /** send: a pose, as position and orientation xyzw. */
   constructor(
     private readonly say: (message: Said) => void,
+    private readonly send: (pose: number[]) => void,
     private readonly ground: Ground,
     private readonly changed: () => void,
   ) {}
@@ -157,12 +159,7 @@ export class Handle {
     const moved = before.distanceTo(this.sent.position) / Math.max(dt, 1e-3);
     this.speed += (moved - this.speed) * (1 - Math.exp(-dt / 0.1));
     const { position, orientation } = this.sent;
-    this.say({
-      type: "pose",
-      position: position.toArray(),
-      orientation: orientation.toArray(),
-      t: performance.now() / 1e3,
-    });
+    this.send([...position.toArray(), ...orientation.toArray()]);
     const near = position.distanceTo(this.wanted.position) < ARRIVED && this.velocity.length() < 1e-3;
     if (letting && (near || this.since > LONGEST_RETURN)) this.drop();
   }

@@ -37,8 +37,9 @@ export class Link {
   }
 
   /** Sends, where there is somebody to hear it. */
-  say(message: Said): void {
-    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  say(message: Said | ArrayBuffer): void {
+    if (this.socket?.readyState !== WebSocket.OPEN) return;
+    this.socket.send(message instanceof ArrayBuffer ? message : JSON.stringify(message));
   }
 
   /** Tries at once, where the next try is waited for. */

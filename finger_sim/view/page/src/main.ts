@@ -14,12 +14,14 @@ import { Readouts } from "./readouts";
 import { Stage, type Looking } from "./stage";
 import { startTheme } from "./theme";
 import { Condition } from "./condition";
-import { decode, VERSION, VIRTUAL, type Frame, type Said, type Told } from "./wire";
+import { decode, encode, VERSION, VIRTUAL, type Frame, type Said, type Told } from "./wire";
 import { World, type Layers } from "./world";
 import { WrenchLabel } from "./wrench";
 
-const HAND_PERIOD = 16; // ms between two poses: as often as a screen draws, also where drawing is slow
-const LONGEST = 0.25; // s that one such period counts for, however late it is
+const SHORTEST = 12; // ms between two poses: as often as a screen draws,
+const SLOW = 25; // and where it draws less often than that, by a clock
+const CLOCK = 16;
+const LONGEST = 0.25; // s that the time between two poses counts for, however long it is
 
 const say = (message: Said): void => link.say(message);
 const stage = makeStage();
@@ -30,16 +32,21 @@ const legend = new Legend();
 const panel = new Panel((name, value) => say({ type: "set", name, value }));
 const player = new Player(say);
 const actions = startActions(say);
-const hand = world === null ? null : new Hand(world, say, () => player.toggle(), actions);
+const hand = world === null ? null : new Hand(world, say, send, () => player.toggle(), actions);
 const wrench = new WrenchLabel();
 const condition = new Condition(() => link.retry(), fresh);
 const rate = byId<HTMLSelectElement>("frames");
 let newest: Frame | null = null;
 let moved = performance.now();
+let drawn = 0; // the last frame that was
+let told = true; // whether the server knows of it
 let pictures = 0; // of the screen, in which something may have been drawn
 
 const link = new Link({
-  opened: () => (newest = null),
+  opened: () => {
+    newest = null;
+    [drawn, told] = [0, true];
+  },
   told: hear,
   bytes: (buffer) => {
     const got = decode(buffer);
@@ -70,7 +77,7 @@ startTheme(() => {
 startChoices();
 fresh(false);
 requestAnimationFrame(picture);
-window.setInterval(move, HAND_PERIOD);
+window.setInterval(() => move(SLOW), CLOCK);
 
 function hear(message: Told): void {
   if (message.type === "hello") {
@@ -82,6 +89,7 @@ function hear(message: Told): void {
     condition.welcome(message);
     actions.welcome(message);
     player.use(message.bag);
+    readouts.recordings(message.recorded ?? []);
     plots.clear();
     hand?.welcome(message.client, message.drive && message.source === "node");
     say({ type: "frames", hz: Number(rate.value) });
@@ -98,16 +106,23 @@ function hear(message: Told): void {
   else if (message.type === "notice") actions.notice(message.level, message.text);
   else if (message.type === "yaml") actions.yaml(message.text, message.name);
   else if (message.type === "recorded") {
-    readouts.recording(message.name, message.url, message.bytes);
+    readouts.recorded(message);
     actions.notice("info", `recorded: ${message.name}`);
   } else if (message.type === "position") player.told(message.time, message.playing, message.speed);
 }
 
-/** Moves what keys, gamepad and spring move, and sends the pose of a finger that is held. */
-function move(): void {
+/** Moves what keys, gamepad and spring move, and sends the pose of a finger that is held, unless one was just sent. */
+function move(shortest: number): void {
   const now = performance.now();
+  if (now - moved < shortest) return;
   hand?.tick(Math.min((now - moved) / 1e3, LONGEST));
   moved = now;
+}
+
+/** Sends a pose, and what was drawn by now. */
+function send(pose: number[]): void {
+  link.say(encode(drawn, pose));
+  told = true;
 }
 
 /** Once for each picture of the screen: takes the newest frame, and draws. */
@@ -118,27 +133,32 @@ function picture(now: number): void {
   if (frame !== null) show(frame);
   plots.tick(now);
   tell("pictures", String((pictures += 1)));
-  if (world === null || stage === null) return;
-  hand?.beforeDrawing();
-  world.beforeDrawing();
-  if (stage.draw()) {
-    wrench.place(world, condition.live);
-    tellPlace(world, stage);
+  if (world !== null && stage !== null) {
+    hand?.beforeDrawing();
+    world.beforeDrawing();
+    if (stage.draw()) {
+      wrench.place(world, condition.live);
+      tellPlace(world, stage);
+    }
   }
   if (frame !== null) {
-    say({ type: "ack", seq: frame.seq });
+    [drawn, told] = [frame.seq, false];
     tell("time", frame.time.toFixed(4));
     tell("seq", String(frame.seq));
   }
+  move(SHORTEST);
+  if (!told) link.say(encode(drawn, null));
+  told = true;
 }
 
 function show(frame: Frame): void {
   if (!condition.frame()) return;
   plots.add(frame);
-  if (world === null || !world.show(frame)) return;
+  if (world !== null && !world.show(frame)) return;
+  readouts.frame(frame);
+  if (world === null) return;
   hand?.show(frame);
   const { sticking, slipping, arrowForce } = world.touch;
-  readouts.frame(frame, world.ground.normal, sticking, slipping);
   if (world.scale !== null) legend.scale(world.scale);
   legend.keys(world.layers, arrowForce, (frame.flags & VIRTUAL) !== 0, sticking, slipping);
   tell("sticks", String(sticking));

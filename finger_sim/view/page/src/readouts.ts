@@ -1,8 +1,8 @@
 /** Numbers and words of the present state. What is not live is shown as a dash, never as a number. */
 
-import { Vector3 } from "three";
+import { Quaternion, Vector3 } from "three";
 import { byId, make, measure, MISSING, number, tell, write } from "./dom";
-import { DEVICE_KNOWN, type Frame, type Status, type Topology } from "./wire";
+import { DEVICE_KNOWN, PLANE_KNOWN, type Frame, type Recorded, type Status, type Topology } from "./wire";
 
 const ids = ["rate", "factor", "late", "step", "limits", "contacts", "command", "area"] as const;
 const SIGN = { info: "i", warn: "!", error: "×" };
@@ -13,14 +13,18 @@ export class Readouts {
   private readonly friction = byId<HTMLMeterElement>("friction-used");
   private said = "";
   private tets: number | null = null; // of the mesh
-  private recorded: HTMLElement[] = [];
+  private offered: Recorded[] = [];
 
   use(topology: Topology): void {
     this.tets = topology.tets.length > 0 ? topology.tets.length / 4 : null;
   }
 
-  /** Of each frame. normal: of the plane. */
-  frame(frame: Frame, normal: Vector3, sticking: number, slipping: number): void {
+  /** Of each frame. */
+  frame(frame: Frame): void {
+    const normal = new Vector3(0, 0, 1);
+    if ((frame.flags & PLANE_KNOWN) !== 0) normal.applyQuaternion(new Quaternion().fromArray(frame.plane, 3));
+    const slipping = frame.contacts.filter(({ slips }) => slips).length;
+    const sticking = frame.contacts.length - slipping;
     const force = new Vector3().fromArray(frame.force);
     const along = force.dot(normal);
     const across = force.projectOnPlane(normal).length();
@@ -71,17 +75,20 @@ export class Readouts {
     for (const name of ["force", "tangential", "depth", "rate", "limited"]) tell(name, "");
   }
 
-  /** A recording that can be fetched. */
-  recording(name: string, url: string, bytes: number | null): void {
-    const address = new URL(url, location.href);
-    if (address.origin !== location.origin) return;
-    const token = new URLSearchParams(location.search).get("token");
-    if (token !== null && !address.searchParams.has("token")) address.searchParams.set("token", token);
-    const size = bytes === null ? "" : ` (${(bytes / 1e6).toFixed(1)} MB)`;
-    const link = make("a", { href: address.href, download: name }, `${name}${size}`);
-    this.recorded = [make("li", {}, link), ...this.recorded].slice(0, 5);
-    byId("recordings").replaceChildren(...this.recorded);
-    byId("recordings-card").hidden = false;
+  /** Another recording that can be fetched. */
+  recorded(recording: Recorded): void {
+    this.recordings([...this.offered, recording]);
+  }
+
+  /** All recordings that can be fetched; the newest are offered. */
+  recordings(all: Recorded[]): void {
+    this.offered = all.filter(({ url }) => new URL(url, location.href).origin === location.origin).slice(-5);
+    const entries = this.offered.map(({ name, url, bytes }) => {
+      const size = bytes === null ? "" : ` (${(bytes / 1e6).toFixed(1)} MB)`;
+      return make("li", {}, make("a", { href: url, download: name }, `${name}${size}`));
+    });
+    byId("recordings").replaceChildren(...entries.reverse());
+    byId("recordings-card").hidden = entries.length === 0;
   }
 
   private say({ words, rate }: Status): void {

@@ -1,6 +1,6 @@
 /** What server and page tell each other: the JSON messages, and the two kinds of binary frames. */
 
-export const VERSION = 1;
+export const VERSION = 2;
 
 export type Kind = "number" | "text" | "bool" | "choice" | "vector";
 export type Value = number | string | boolean | number[] | null;
@@ -32,6 +32,14 @@ export interface Hello {
   scenes: string[];
   scene: string;
   bag?: { name: string; duration: number };
+  recorded?: Recorded[];
+}
+
+/** A recording that can be fetched. */
+export interface Recorded {
+  name: string;
+  url: string;
+  bytes: number | null;
 }
 
 /** Of the time since the last one; what is not known is null. */
@@ -66,18 +74,16 @@ export type Told =
   | { type: "handle"; holder: number | null }
   | { type: "notice"; level: Level; text: string }
   | { type: "yaml"; text: string; name: string }
-  | { type: "recorded"; name: string; url: string; bytes: number | null }
+  | ({ type: "recorded" } & Recorded)
   | { type: "position"; time: number; playing: boolean; speed: number };
 
 export type Said =
   | { type: "take" | "release" | "reset" | "yaml" }
-  | { type: "pose"; position: number[]; orientation: number[]; t: number }
   | { type: "set"; name: string; value: Value }
   | { type: "record"; on: boolean }
   | { type: "scene"; name: string }
   | { type: "seek"; time: number }
   | { type: "play"; on: boolean; speed: number }
-  | { type: "ack"; seq: number }
   | { type: "frames"; hz: number };
 
 export const BONE = 1;
@@ -137,6 +143,18 @@ export interface Frame {
   strain: Uint8Array; // (N): 128 at the limit
   contacts: Contact[];
   samples: Sample[];
+}
+
+const DRAWN = 1;
+const HELD = 2;
+
+/** What is said as often as a picture is drawn: the last frame that was, and maybe where the finger is sent. */
+export function encode(seq: number, pose: number[] | null): ArrayBuffer {
+  const view = new DataView(new ArrayBuffer(pose === null ? 8 : 64));
+  view.setUint32(0, pose === null ? DRAWN : HELD, true);
+  view.setUint32(4, seq, true);
+  pose?.forEach((value, k) => view.setFloat64(8 + 8 * k, value, true));
+  return view.buffer;
 }
 
 const padded = (bytes: number): number => (bytes + 3) & ~3;
