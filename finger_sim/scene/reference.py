@@ -53,7 +53,7 @@ def allowed_of(spec: Field) -> str:
     elif spec.kind == "choice":
         text = ", ".join(spec.choices)
     elif spec.kind == "parts" and spec.part is not None:
-        keys = ", ".join(f"{name}: {allowed(key)}" for name, key in specs(spec.part).items())
+        keys = ", ".join(f"{name}: {allowed_of(key)}" for name, key in specs(spec.part).items())
         text = f"at most {_number(spec.high)} of {{{keys}}}"
     elif spec.kind in ("text", "quaternion"):
         text = {"text": "text", "quaternion": "x y z w, not all 0"}[spec.kind]
