@@ -1,4 +1,4 @@
-"""A browser for all tests of a process, and pages that must be free of errors when they end."""
+"""A browser for all tests of a file, and pages that must be free of errors when they end."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from urllib.parse import urlsplit
 import pytest
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Chromium; skips where there is none, in CI it fails."""
+    """Chromium; skips where there is none, in CI it fails. While it is there, no other event loop can run."""
 
     def without(reason: str) -> None:
         (pytest.fail if os.environ.get("CI") else pytest.skip)(reason)
