@@ -70,10 +70,10 @@ def add_figures(verbs: Any) -> None:
         verbs,
         "figures",
         _figures,
-        "the paper's experiments, measured and drawn: a PNG and a JSON each",
+        "the paper's experiments, and laws of fingertips, measured and drawn: a PNG and a JSON each",
         "finger_sim figures --only beams standing --out figures",
     )
-    names = ("beams", "finger", "standing", "isotropy", "locking", "speed")
+    names = ("beams", "finger", "standing", "isotropy", "locking", "speed", "fingertip")
     figures.add_argument("--only", nargs="+", choices=names, metavar="NAME", help=f"of: {', '.join(names)}")
     figures.add_argument(
         "--out",
@@ -89,7 +89,7 @@ def _figures(options: argparse.Namespace) -> int:
     from ..studies.paper.figures import FIGURES, figures
 
     for made in figures(options.only or list(FIGURES), options.out):
-        rows = table("the paper says", "we measure", "", "why")
+        rows = table(made.said_by, "we measure", "", "why")
         for finding in made.findings:
             verdict = {True: "agrees", False: "differs", None: ""}[finding.agrees]
             rows.add_row(finding.paper, finding.measured, verdict, finding.reason)

@@ -1,6 +1,6 @@
-"""`finger_sim figures`: the paper's experiments run, measured and drawn; what does not agree is said.
+"""`finger_sim figures`: experiments of the paper, and of fingertips, run, measured and drawn; what differs is said.
 
-Each figure is a module of its own, `figure_<name>`, with `measure`, `numbers`, `findings` and `draw`.
+Each figure is a module of its own, `<name>` here or one of ELSEWHERE, with `measure`, `numbers`, `findings` and `draw`.
 """
 
 from __future__ import annotations
@@ -27,8 +27,13 @@ FIGURES = {
     "isotropy": "strain allowed by direction, and smoothness (Sections 3.3 and 6)",
     "locking": "over-constrained tetrahedra (Section 6)",
     "speed": "steps a second by constrained tetrahedra (Section 5.1)",
+    "fingertip": "a fingertip's stiffness, contact area and shear beside what is known of fingertips",
 }
 """Name: what it shows."""
+ELSEWHERE = {"fingertip": "..fingertip.figure"}
+"""Modules of those that are not of the paper."""
+THE_PAPER = "the paper says"
+"""Head of the column that measurements are held against, unless a module has another (SAID_BY)."""
 
 Meter = Callable[[float, float], None]
 """Told how much of a study is done, and how much there is."""
@@ -36,7 +41,7 @@ Meter = Callable[[float, float], None]
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """One statement of the paper beside what was measured."""
+    """One statement of the paper, or of another source, beside what was measured."""
 
     paper: str
     measured: str
@@ -45,7 +50,7 @@ class Finding:
 
 
 class Study(Protocol):
-    """What a module `figure_<name>` offers; R is a type of its own."""
+    """What the module of a figure offers; R is a type of its own."""
 
     @staticmethod
     def measure(progress: Meter) -> Any:
@@ -73,6 +78,7 @@ class Made:
     data: Path
     numbers: dict[str, Any]
     findings: list[Finding]
+    said_by: str = THE_PAPER
 
 
 def figures(names: Sequence[str], out: Path) -> Iterator[Made]:
@@ -89,14 +95,20 @@ def figures(names: Sequence[str], out: Path) -> Iterator[Made]:
     except OSError as error:
         raise FingerSimError(f"--out: {out} cannot be made: {error.strerror}") from None
     for name in names:
-        study = cast(Study, importlib.import_module(f".{name}", __package__))
+        study = module_of(name)
         with gauge(f"{name}: {FIGURES[name]}") as meter:
             result = study.measure(meter)
         say(f"{name}: drawing")
         picture = save(study.draw(result), out / f"{name}.png")
-        made = Made(name, picture, out / f"{name}.json", plain(study.numbers(result)), study.findings(result))
+        said_by = getattr(study, "SAID_BY", THE_PAPER)
+        made = Made(name, picture, out / f"{name}.json", plain(study.numbers(result)), study.findings(result), said_by)
         write(made)
         yield made
+
+
+def module_of(name: str) -> Study:
+    """The module of a figure."""
+    return cast(Study, importlib.import_module(ELSEWHERE.get(name, f".{name}"), __package__))
 
 
 def write(made: Made) -> None:
