@@ -12,10 +12,10 @@ from ..arrays import Floats
 from ..bags import cdr
 from ..bags.quantities import KINDS
 from ..bags.reader import BagReader, absolute, commands_of
-from ..physics.rotations import matrix, normalised
-from ..scene import Plane, Scene
+from ..physics.rotations import normalised
+from ..scene import Scene
 from ..scene.mesh import TetMesh
-from .press import FitError, Press, touch_height
+from .press import FitError, Press, plane_axes, touch_height
 
 RATE = 500.0
 """Samples that are kept a second [Hz], at most."""
@@ -25,8 +25,10 @@ def read_bag(path: Path, scene: Scene, mesh: TetMesh) -> list[Press]:
     """The press in a bag, as one.
 
     Poses are those of a topic `pose`, where the finger is, else the commands. The wrench is that of a topic
-    `contact_wrench`, else the only one: of the plane on the finger, in the axes that poses are in, which are those of the
-    scene and its plane. Raises FitError where something is missing, BagError where the bag cannot be read.
+    `contact_wrench`, else the only one: of the plane on the finger, in the axes that poses are in. These are the
+    scene's world, and its plane is what the finger was pressed on.
+
+    Raises FitError where something is missing, BagError where the bag cannot be read.
     """
     if scene.plane is None:
         raise FitError("plane: the scene has none, allowed: one that the finger was pressed on")
@@ -50,7 +52,7 @@ def read_bag(path: Path, scene: Scene, mesh: TetMesh) -> list[Press]:
     t, forces = t[inside], forces[inside]
     keep = np.unique(np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / RATE)))
     t, forces = t[keep], forces[keep]
-    turn, origin = _plane_axes(scene.plane), np.array(scene.plane.point)
+    turn, origin = plane_axes(scene.plane), np.array(scene.plane.point)
     at = np.searchsorted(own, t, side="right") - 1
     position = np.stack([np.interp(t, own, column) for column in commands.position.T], axis=1)
     orientation = np.array([_turned(turn, q) for q in commands.orientation[at].tolist()])
@@ -84,15 +86,6 @@ def _forces(reader: BagReader, topic: str) -> tuple[Floats, Floats]:
             times.append(message.log_time)
             forces.append(force)
     return np.array(times, np.float64), np.array(forces).reshape(-1, 3)
-
-
-def _plane_axes(plane: Plane) -> Floats:
-    """(3, 3) from world axes to the plane's: the least turn that takes its normal to z."""
-    n = plane.unit_normal
-    axis, cosine = np.cross(n, [0.0, 0.0, 1.0]), float(n[2])
-    if cosine < -1.0 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    return matrix(normalised([*axis.tolist(), 1.0 + cosine]))
 
 
 def _turned(turn: Floats, q: list[float]) -> list[float]:

@@ -12,10 +12,10 @@ from ..arrays import Floats
 from ..scene import Scene
 from ..scene.calibration import scene_on
 from ..studies.tradeoff.run import portable
-from .model import Model, curve, relative_error
+from .model import Curve, Model, curve, relative_error
 from .press import timed_path
 from .runs import Runner, job
-from .simulate import IN_TIME
+from .simulate import in_time
 
 MOST_STEPS = 4000
 """Time steps of a press that is run in time, at most: a longer one is pressed faster."""
@@ -65,16 +65,19 @@ def _scale(given: Sequence[Floats], measured: Sequence[Floats]) -> float:
     return float(np.exp(np.median(np.concatenate(ratios))))
 
 
-def as_it_runs(model: Model, runner: Runner, theta: Floats, found: Scene) -> list[float]:
-    """Error of each press where the scene runs with its own step and settings, as `model.relative_error`."""
-    scene = portable(found.with_values({key: value for key, value in IN_TIME.items() if key != "solver.level"}))
+def as_it_runs(model: Model, runner: Runner, theta: Floats, found: Scene, own: Sequence[Curve]) -> list[Curve]:
+    """What each press gives where the scene runs with its own step and settings, at the samples of `own`.
+
+    own: of the fit; areas are its own, as nobody looks at them in each step
+    """
+    scene = portable(found.with_values(in_time(found)))
     presses, jobs = [], []
     for k, press in enumerate(model.presses):
         start, seconds = press.time[0], press.time[-1] - press.time[0]
         time = start + (press.time - start) * min(1.0, MOST_STEPS * found.dt / seconds)
-        presses.append(replace(press, time=time, tangential=None, area=None))
+        presses.append(replace(press, time=time, area=None))
         jobs.append(job(scene, timed_path(presses[-1], found.dt, model.shift(theta, k)), False))
     return [
-        relative_error(press, curve(press, each.way, run, 1.0))
-        for press, each, run in zip(presses, jobs, runner(jobs), strict=True)
+        curve(press, each.way, run, 1.0)._replace(way=fitted.way, area=fitted.area)
+        for press, each, run, fitted in zip(presses, jobs, runner(jobs), own, strict=True)
     ]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Floats
-from ..physics.rotations import matrix, normalised
+from ..physics.rotations import Quaternion, matrix, normalised
 from ..scene import Scene
 from ..scene.mesh import TetMesh
 from .press import FitError, Press
@@ -59,8 +59,8 @@ def _require_times(press: Press) -> None:
         )
     if press.time[-1] - press.time[0] > LONGEST:
         raise FitError(
-            f"{press.name}: time: got {press.time[-1] - press.time[0]:g} s for a press, allowed: at most {LONGEST:g} s; "
-            f"is time in ms?"
+            f"{press.name}: time: got {press.time[-1] - press.time[0]:g} s for a press, "
+            f"allowed: at most {LONGEST:g} s; is time in ms?"
         )
 
 
@@ -73,14 +73,14 @@ def _require_units(press: Press, scene: Scene, mesh: TetMesh) -> None:
     )
     if deepest <= 0.0:
         found = f"{press.name}: depth: got {1e3 * depth.min():.4g} to {1e3 * deepest:.4g} mm"
-        if rising < -0.3 and press.direction != "pose":
+        if rising < -0.3:
             raise FitError(f"{found}, negative while force rises, allowed: depth that grows downwards; turn its sign")
         raise FitError(f"{found}, never below first touch, allowed: some above 0; where is first touch?")
     if deepest > thick:
         guess = _guess(deepest, thick)
         raise FitError(
-            f"{press.name}: depth: got {1e3 * deepest:.4g} mm, allowed: less than the {1e3 * thick:.3g} mm from skin to bone"
-            f" of this mesh{guess}"
+            f"{press.name}: depth: got {1e3 * deepest:.4g} mm, allowed: less than the {1e3 * thick:.3g} mm from skin "
+            f"to bone of this mesh{guess}"
         )
     if deepest < 2e-5:
         raise FitError(
@@ -88,8 +88,8 @@ def _require_units(press: Press, scene: Scene, mesh: TetMesh) -> None:
         )
     if peak <= 0.0 or -float(press.normal.min()) > 2.0 * peak:
         raise FitError(
-            f"{press.name}: normal: got {press.normal.min():.4g} to {peak:.4g} N, allowed: positive where the plane pushes;"
-            f" is it the force of the finger on the plane?"
+            f"{press.name}: normal: got {press.normal.min():.4g} to {peak:.4g} N, allowed: positive where the plane "
+            f"pushes; is it the force of the finger on the plane?"
         )
     if not FORCES[0] <= peak <= FORCES[1]:
         why = "is it in mN, or in grams (gf)?" if peak > FORCES[1] else "is it in kN, or not scaled?"
@@ -98,18 +98,18 @@ def _require_units(press: Press, scene: Scene, mesh: TetMesh) -> None:
         )
     if rising < 0.2:
         raise FitError(
-            f"{press.name}: normal: does not grow with depth (correlation {rising:.2f}), allowed: a press; are the columns"
-            f" or the clocks mixed up?"
+            f"{press.name}: normal: does not grow with depth (correlation {rising:.2f}), allowed: a press; "
+            f"are the columns or the clocks mixed up?"
         )
     if press.tangential is not None and _size(press.tangential).max() > 5.0 * peak:
         raise FitError(
-            f"{press.name}: tangential: got {_size(press.tangential).max():.4g} N where the normal force is {peak:.4g} N"
-            f" at most, allowed: 5 times as much; is one of them in another unit?"
+            f"{press.name}: tangential: got {_size(press.tangential).max():.4g} N where the normal force is at most "
+            f"{peak:.4g} N, allowed: 5 times as much; is one of them in another unit?"
         )
     if press.area is not None and press.area.max() > 4.0 * thick**2 * 100.0:
         raise FitError(
-            f"{press.name}: area: got {1e6 * press.area.max():.4g} mm² at most, allowed: {400e6 * thick**2:.3g} mm²; is it in"
-            f" another unit?"
+            f"{press.name}: area: got {1e6 * press.area.max():.4g} mm² at most, allowed: {400e6 * thick**2:.3g} mm²; "
+            f"is it in another unit?"
         )
 
 
@@ -122,9 +122,13 @@ def _guess(found: float, allowed: float) -> str:
 
 
 def thickness(scene: Scene, mesh: TetMesh, press: Press) -> float:
+    """As thickness_along, where a press is deepest."""
+    return thickness_along(scene, mesh, normalised(press.orientation[int(np.argmax(press.depth))].tolist()))
+
+
+def thickness_along(scene: Scene, mesh: TetMesh, orientation: Quaternion) -> float:
     """From where the skin first touches up to the lowest driven node [m]; without driven nodes the mesh's size."""
-    turn = matrix(normalised(press.orientation[int(np.argmax(press.depth))].tolist()))
-    heights = mesh.points @ turn[2]
+    heights = mesh.points @ matrix(orientation)[2]
     driven = scene.driven_nodes(mesh)
     if len(driven) == 0:
         return float(np.ptp(heights))
@@ -179,24 +183,24 @@ def _note_offsets(press: Press, notes: list[str]) -> None:
     end = float(np.median(force[after])) if after.sum() >= 3 else math.nan
     if abs(end - start) > 0.5 * noise and not math.isnan(end - start):
         notes.append(
-            f"normal: drifts from {start:.3g} N before to {end:.3g} N after the press; what drifts is in the fit, take it out"
+            f"normal: drifts from {start:.3g} N before to {end:.3g} N after the press; the fit takes it for force: "
+            f"take it out"
         )
     elif abs(start) > 0.5 * noise:
         notes.append(f"normal: {start:.3g} N before contact; zero the sensor")
-    early = depth[:deepest] < -2e-5
-    if early.any() and float(np.max(force[:deepest][early])) > max(
-        2.0 * noise, start + 2.0 * noise if start == start else 0
-    ):
-        at = int(np.argmax(early & (force[:deepest] > 2.0 * noise)))
+    offset = 0.0 if math.isnan(start) else start
+    early = np.flatnonzero((depth[:deepest] < -2e-5) & (force[:deepest] - offset > 0.5 * noise))
+    if len(early) >= 2:
+        at = int(early[0])
         notes.append(
-            f"depth: force before contact: {force[at]:.3g} N at {1e3 * depth[at]:.3g} mm; first touch is earlier than depth"
-            f" says: --fit touch, or depth from there"
+            f"depth: force before contact: {force[at]:.3g} N at {1e3 * depth[at]:.3g} mm; first touch is earlier than "
+            f"depth says: --fit touch, or depth from there"
         )
     late = np.flatnonzero(force[: deepest + 1] > max(SLIGHT * peak, 5e-3))
     if len(late) and depth[late[0]] > 0.5 * depth[deepest]:
         notes.append(
-            f"depth: no force up to {1e3 * depth[late[0]]:.3g} of {1e3 * depth[deepest]:.3g} mm; first touch is later than "
-            f"depth says: --fit touch"
+            f"depth: no force up to {1e3 * depth[late[0]]:.3g} of {1e3 * depth[deepest]:.3g} mm; first touch is later "
+            f"than depth says: --fit touch"
         )
     if depth.min() < -5e-3:
         notes.append(f"depth: {1e3 * depth.min():.3g} mm: from far above; only what touches is used")

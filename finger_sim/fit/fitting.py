@@ -4,7 +4,7 @@
 2. Search: from several starts, with presses in longer parts, of a fine shipped finger on the mesh of 900 tetrahedra.
 3. Leave out what the data cannot tell: such a value stays as it is in the scene.
 4. Converge on the scene's own mesh (`solve`).
-5. Say how well each is known (`uncertainty`), how other meshes do (`carrying`), and how the scene does as it really runs.
+5. Say how well each is known (`uncertainty`), and how other meshes and the scene as it really runs do (`carrying`).
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from .bag_data import read_bag
 from .carrying import Carried, as_it_runs, carried
 from .checks import checked
 from .csv_data import read_csv
-from .model import Curve, Model, needs_time, relative_error
+from .model import Curve, Model, differences, joined, needs_time, relative_error
 from .parameters import Unknown, changes, default_names, unknowns_of
 from .press import FitError, Press
 from .runs import Runner
-from .solve import Solution, best_modulus, centres, jacobian, robust_cost, robust_scale, solve, starts, usual_size
+from .solve import Solution, best_modulus, jacobian, robust_cost, robust_scale, solve, starts, usual_size
 from .target import target_press
-from .uncertainty import Interval, LeftOut, Local, bootstrap, left_out, linear_errors, local, profile
+from .uncertainty import Interval, LeftOut, Local, bootstrap, left_out, linear_errors, local, moved, profile, widened
 
 SEARCHED_ON = {"finger_2000": "finger", "finger_4000": "finger", "finger_16000": "finger"}
 """Mesh of the search by the scene's own: a sixth of the time and less. On `finger_500` the side is another finger."""
@@ -113,6 +113,8 @@ def read(options: Options) -> tuple[Scene, list[Press], list[str]]:
     mesh = scene.load_mesh()
     if scene.driven is None:
         raise FitError(f"{options.scene}: driven: nothing is, allowed: a scene whose bone is driven")
+    for other in options.carry:
+        scene_on(scene, other).load_mesh()
     if options.target is not None:
         if options.data:
             raise FitError("--target: not allowed with --data")
@@ -139,7 +141,7 @@ def fit(options: Options, runner: Runner, tell: Tell) -> Fit:
     count = len(unknowns)
     runner.foreseen = len(presses) * (options.starts + (REFINED * 4 + 3) * (count + 1) + 14 * count + 12)
     tell(f"{len(presses)} presses, {count} unknowns: {', '.join(one.name for one in unknowns)}")
-    before = model.curves(runner, [centres(model)])[0]
+    before = model.curves(runner, [np.array([one.theta(one.start) for one in unknowns])])[0]
     _require_same_world(model, before)
     tell(f"searching from {options.starts} starts")
     searched = search(model, runner, options.starts)
@@ -157,17 +159,17 @@ def fit(options: Options, runner: Runner, tell: Tell) -> Fit:
     intervals = profile(model, runner, near, range(len(model.unknowns)))
     resampled = bootstrap(model, near)
     foretold = left_out(model, runner, near)
-    estimates = _estimates(unknowns, model, near, intervals, resampled, lost)
     found = scene.with_values(changes(model.unknowns, scene, solution.theta))
     curves = model.curves(runner, [solution.theta])[0]
+    tell("as the scene runs, in time")
+    runs = None if options.target is not None else as_it_runs(model, runner, solution.theta, found, curves)
+    intervals = _widened(model, runner, near, intervals, runs)
+    estimates = _estimates(unknowns, model, near, intervals, resampled, lost)
     others = []
     for mesh in options.carry:
         tell(f"the same tissue on {mesh}")
         others.append(carried(model, runner, solution.theta, found, mesh))
-    as_run = None
-    if options.target is None:
-        tell("as the scene runs, in time")
-        as_run = as_it_runs(model, runner, solution.theta, found)
+    as_run = None if runs is None else [relative_error(p, c) for p, c in zip(presses, runs, strict=True)]
     return Fit(
         scene, found, model, estimates, curves, before,
         [relative_error(p, c) for p, c in zip(presses, curves, strict=True)],
@@ -255,6 +257,22 @@ def _companion(model: Model, near: Local, j: int) -> str:
     return f" ({model.unknowns[other].name} does nearly the same)" if alike[other] > 0.9 else ""
 
 
+def _widened(
+    model: Model, runner: Runner, near: Local, intervals: Mapping[int, Interval], runs: Sequence[Curve] | None
+) -> dict[int, Interval]:
+    """Intervals that also hold what halved parts of presses, and the scene as it runs, would give."""
+    if not intervals:
+        return {}
+    theta = near.solution.theta
+    by = np.zeros(len(theta))
+    if not model.in_time:
+        by = np.maximum(by, moved(model, near, model.with_(finer=2).residuals(runner, [theta])[0]))
+    if runs is not None:
+        pairs = zip(model.presses, runs, strict=True)
+        by = np.maximum(by, moved(model, near, joined([differences(p, c, model.floor) for p, c in pairs])))
+    return {j: widened(interval, float(by[j])) for j, interval in intervals.items()}
+
+
 def _derivatives(model: Model, runner: Runner, solution: Solution) -> Floats:
     if not len(model.unknowns):
         return np.empty((len(solution.residuals.values), 0))
@@ -267,8 +285,8 @@ def _require_same_world(model: Model, before: Sequence[Curve]) -> None:
         theirs, ours = float(np.abs(press.normal).max()), float(np.nanmax(given.normal))
         if ours > 0.0 and not 1e-3 < theirs / ours < 1e3:
             raise FitError(
-                f"{press.name}: normal: got {theirs:.3g} N where the scene gives {ours:.3g} N at the same depth, allowed: "
-                f"within a factor of 1000; are units of depth or force mixed up?"
+                f"{press.name}: normal: got {theirs:.3g} N where the scene gives {ours:.3g} N at the same depth, "
+                f"allowed: within a factor of 1000; are units of depth or force mixed up?"
             )
 
 

@@ -18,7 +18,7 @@ from .parameters import TIMED, Unknown, changes
 from .press import Path as Way
 from .press import Press, at_rest_path, timed_path
 from .runs import Job, Runner, job
-from .simulate import AT_REST, CALM, IN_TIME, Run
+from .simulate import AT_REST, CALM, Run, in_time
 
 RELATIVE = 0.02
 """Error of a force that counts as one, a part of it."""
@@ -60,6 +60,7 @@ class Model:
 
     in_time : presses are followed in time, with the scene's own step; else they rest after each small part
     coarse  : factor of the parts' length
+    finer   : so many moments a part, see `at_rest_path`
     floor   : error of a force that counts as one, whatever the force [N]
     """
 
@@ -68,6 +69,7 @@ class Model:
     presses: tuple[Press, ...]
     in_time: bool
     coarse: float = 1.0
+    finer: int = 1
     floor: float = 0.0
 
     def jobs(self, theta: Theta) -> list[Job]:
@@ -75,7 +77,7 @@ class Model:
         values = changes(self.unknowns, self.scene, theta)
         if not self.in_time:
             values.pop("material.young", None)
-        setting = dict(IN_TIME if self.in_time else AT_REST)
+        setting = in_time(self.scene) | {"solver.level": "standard"} if self.in_time else dict(AT_REST)
         if self.scene.limits is not None and not self.in_time:
             setting |= CALM
         data = portable(self.scene.with_values({**setting, **values}))
@@ -87,7 +89,7 @@ class Model:
         """How a press is followed."""
         if self.in_time:
             return timed_path(self.presses[press], self.scene.dt, shift)
-        return at_rest_path(self.presses[press], shift, self.coarse)
+        return at_rest_path(self.presses[press], shift, self.coarse, self.finer)
 
     def curves(self, runner: Runner, thetas: Sequence[Floats]) -> list[list[Curve]]:
         """What each press gives at each of several θ, all made at once."""

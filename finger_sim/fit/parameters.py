@@ -43,7 +43,7 @@ LIMITS = ("stretch", "compress")
 ROOM = {"stretch": (2e-3, 2.0), "compress": (2e-3, 0.95)}
 """Between what the room of a limit is sought."""
 FACTOR = 3.0
-"""Prior of everything: the scene's value, within such a factor (one standard deviation). It only decides what data do not."""
+"""Prior of everything: the scene's value within such a factor (one standard deviation). It decides what data do not."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,10 @@ class Unknown:
     """One unknown θ.
 
     axes    : of a limit: 0 to 2, all of which have the same
-    start   : the scene's value, or room; what the prior is about
+    start   : the scene's value, or room
     low     : bound of the same, and `high`
     factor  : standard deviation of the prior, as a factor
+    centre  : what the prior is about; None: the scene's value, or the bound that is next to it
     press   : the only press that depends on it; None: all do
     """
 
@@ -63,6 +64,7 @@ class Unknown:
     low: float
     high: float
     factor: float = FACTOR
+    centre: float | None = None
     axes: tuple[int, ...] = ()
     press: int | None = None
     key: str = ""
@@ -72,6 +74,11 @@ class Unknown:
     def sigma(self) -> float:
         """Standard deviation of θ by the prior."""
         return 1.0 if self.kind == "touch" else math.log(self.factor)
+
+    @property
+    def believed(self) -> float:
+        """θ that the prior is about."""
+        return self.theta(min(max(self.start, self.low), self.high) if self.centre is None else self.centre)
 
     def theta(self, amount: float) -> float:
         """θ of a value, a room, or a depth [m]."""
@@ -227,7 +234,7 @@ def _bounded(one: Unknown, pair: tuple[float, float] | None) -> Unknown:
         raise FitError(
             f"--bound: {one.name}: got {pair[0]:g}:{pair[1]:g}, allowed: LOW:HIGH as the scene has the value"
         )
-    return replace(one, low=low, high=high, start=min(max(one.start, low), high))
+    return replace(one, low=low, high=high)
 
 
 def _with_prior(one: Unknown, pair: tuple[float, float] | None) -> Unknown:
@@ -238,4 +245,4 @@ def _with_prior(one: Unknown, pair: tuple[float, float] | None) -> Unknown:
         raise FitError(
             f"--prior: {one.name}: got {pair[0]:g}:{pair[1]:g}, allowed: VALUE:FACTOR within bounds, FACTOR > 1"
         )
-    return replace(one, start=amount, factor=pair[1])
+    return replace(one, centre=amount, factor=pair[1])

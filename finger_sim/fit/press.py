@@ -6,6 +6,7 @@ come down since the skin first touched.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,8 +15,8 @@ import numpy as np
 
 from ..arrays import Floats, Ints
 from ..errors import FingerSimError
-from ..physics.rotations import Quaternion, matrix
-from ..scene import Scene
+from ..physics.rotations import Quaternion, matrix, normalised
+from ..scene import Plane, Scene
 from ..scene.calibration import name_of
 from ..scene.finger_shape import first_touch
 from ..scene.mesh import TetMesh
@@ -112,6 +113,15 @@ def touch_height(scene: Scene, mesh: TetMesh, orientation: Quaternion) -> float:
     return -float((mesh.points[np.unique(mesh.surface)] @ turn[2]).min())
 
 
+def plane_axes(plane: Plane) -> Floats:
+    """(3, 3) from world axes to the plane's: the least turn that takes its normal to z."""
+    n = plane.unit_normal
+    axis, cosine = np.cross(n, [0.0, 0.0, 1.0]), float(n[2])
+    if cosine < -1.0 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    return matrix(normalised([*axis.tolist(), 1.0 + cosine]))
+
+
 def parts_of(press: Press) -> float:
     """Way between two moments that are computed [m]."""
     way = float(np.linalg.norm(np.diff(press.position[touching(press)], axis=0), axis=1).sum())
@@ -127,11 +137,12 @@ def touching(press: Press) -> Ints:
     return np.arange(max(inside[0] - 1, 0), min(inside[-1] + 2, len(press.time)))
 
 
-def at_rest_path(press: Press, shift: float = 0.0, coarse: float = 1.0) -> Path:
+def at_rest_path(press: Press, shift: float = 0.0, coarse: float = 1.0, finer: int = 1) -> Path:
     """The way of a press in small parts, with rests: time does not matter.
 
     shift  : how much deeper the finger is than was measured [m]
     coarse : factor of the parts' length
+    finer  : so many moments a part, without other groups of samples
     """
     used, part = touching(press), coarse * parts_of(press)
     at = np.concatenate([press.position[used], press.orientation[used]], axis=1)
@@ -143,15 +154,17 @@ def at_rest_path(press: Press, shift: float = 0.0, coarse: float = 1.0) -> Path:
             corners.append(i)
     above = at[0].copy()
     above[2] = max(press.touch, at[0, 2]) + AHEAD
-    poses, after, share, group = [above], np.empty(len(at), int), np.ones(len(at)), np.empty(len(at), int)
-    _walk(poses, at[0], part)
-    after[0] = group[0] = len(poses) - 1
-    for a, b in zip(corners[:-1], corners[1:], strict=True):
-        _walk(poses, at[b], part)
+    poses, after, share, group = [above], np.empty(len(at), int), np.ones(len(at)), np.zeros(len(at), int)
+    _walk(poses, at[0], part / finer)
+    after[0] = len(poses) - 1
+    for number, (a, b) in enumerate(itertools.pairwise(corners), start=1):
+        begin, inside = len(poses) - 1, slice(a + 1, b + 1)
+        _walk(poses, at[b], part / finer)
         way = at[b, :3] - at[a, :3]
-        after[a + 1 : b + 1] = group[a + 1 : b + 1] = len(poses) - 1
-        share[a + 1 : b] = np.clip((at[a + 1 : b, :3] - at[a, :3]) @ way / max(float(way @ way), 1e-18), 0.0, 1.0)
-    _, group = np.unique(group, return_inverse=True)
+        done = np.clip((at[inside, :3] - at[a, :3]) @ way / max(float(way @ way), 1e-18), 0.0, 1.0)
+        moment = done * (len(poses) - 1 - begin)
+        last = np.maximum(np.ceil(moment - 1e-9), 1.0)
+        after[inside], share[inside], group[inside] = begin + last.astype(int), moment - last + 1.0, number
     return Path(np.array(poses), np.full(len(poses), STEPS), used, after, share, group)
 
 

@@ -61,12 +61,14 @@ def sentences(fit: Fit) -> list[str]:
         out.append("one press: nothing was left out to be foretold")
     if 1 < len(fit.model.presses) < ENOUGH:
         out.append(
-            f"{len(fit.model.presses)} presses: too few to draw them anew (from {ENOUGH} on); intervals are of the profile"
+            f"{len(fit.model.presses)} presses: too few to draw them anew (from {ENOUGH} on); intervals are of the "
+            f"profile"
         )
     poor = [press.name for press, error in zip(fit.model.presses, fit.errors, strict=True) if error > GOOD]
     if poor:
         out.append(
-            f"the scene cannot give {', '.join(poor)} within {GOOD:.0%}, whatever the fitted values: intervals hide that"
+            f"the scene cannot give {', '.join(poor)} within {GOOD:.0%}, whatever the fitted values: intervals do not "
+            f"tell of that"
         )
     return out
 
@@ -100,11 +102,12 @@ def numbers(fit: Fit) -> dict[str, Any]:
                 ),
                 "prior_factor": one.unknown.factor,
                 "unit": one.unknown.unit,
-            }  # fmt: skip
+            }
         )
     presses = [
         {
-            "name": press.name, "direction": press.direction, "error_before": fit.errors_before[k], "error": fit.errors[k],
+            "name": press.name, "direction": press.direction,
+            "error_before": fit.errors_before[k], "error": fit.errors[k],
             "depth_m": press.depth[fit.curves[k].way.used], "normal_n": press.normal[fit.curves[k].way.used],
             "fitted_normal_n": fit.curves[k].normal,
         }
@@ -161,7 +164,7 @@ def write(fit: Fit, out: Path, work: Path, command: str) -> list[Path]:
                 low_open,
                 high_open,
                 one.why,
-            ]  # fmt: skip
+            ]
         )
     for name, content in (
         ("fit.csv", text.getvalue()),
@@ -175,7 +178,10 @@ def write(fit: Fit, out: Path, work: Path, command: str) -> list[Path]:
         written.append(work / name)
     for each in fit.carried:
         path = out.with_name(f"{out.stem}_on_{Path(each.mesh).stem}.yaml")
-        write_scene(path, each.scene, [f"As {out.name}, on another mesh: the modulus alone fitted again.",
-                                       f"Its forces are {each.apart:.1%} (rms over the largest) off those of {out.name}."])  # fmt: skip
+        lines = [
+            f"As {out.name}, on another mesh: the modulus alone fitted again.",
+            f"Its forces are {each.apart:.1%} (rms over the largest) off those of {out.name}.",
+        ]
+        write_scene(path, each.scene, lines)
         written.append(path)
     return written

@@ -12,6 +12,7 @@ from ..scene import Pose, Scene
 from ..simulation.simulator import Simulator
 from ..simulation.touch import Imprint
 from ..studies.shared import biot_strain
+from .press import plane_axes
 
 PLANE: dict[str, Any] = {"plane.point": [0.0, 0.0, 0.0], "plane.normal": [0.0, 0.0, 1.0]}
 """Presses are told in the plane's frame."""
@@ -32,13 +33,22 @@ AT_REST: dict[str, Any] = {
 }
 """Of presses at rest: long steps, which let motion die out at once. Force is proportional to E then."""
 CALM = {"limits.viscosity": 8.0}
-"""Of their limits. Less, and a deep press that no limit allows goes to and fro; more, and four steps do not bring rest."""
-IN_TIME: dict[str, Any] = {
-    **PLANE, "solver.level": "standard", "solver.sleep": False, "coupling.type": "kinematic", "coupling.following": "hold",
-}  # fmt: skip
-"""Of presses that are followed in time, with the scene's own step."""
+"""Of their limits. Less, and a deep press that no limit allows goes to and fro; more, and four steps bring no rest."""
+FOLLOWED: dict[str, Any] = {
+    **PLANE,
+    "solver.sleep": False,
+    "coupling.type": "kinematic",
+    "coupling.following": "hold",
+}
+"""Of presses that are followed in time, with the scene's own step; see `in_time`."""
 LOOKS = 8
 """So often in a press strain is compared with the limits."""
+
+
+def in_time(scene: Scene) -> dict[str, Any]:
+    """Values of a scene whose presses are followed in time: gravity, too, is told in the plane's frame."""
+    gravity = np.array(scene.gravity)
+    return FOLLOWED | {"gravity": (gravity if scene.plane is None else plane_axes(scene.plane) @ gravity).tolist()}
 
 
 class Run(NamedTuple):

@@ -67,7 +67,8 @@ def solve(model: Model, runner: Runner, start: Floats, size: float, evaluations:
         found = model.residuals(runner, [start])[0]
         return Solution(start, found, size, robust_cost(found.values, scale))
     done = least_squares(
-        function, start, jac=derivative, bounds=(low, high), method="trf", loss=loss, f_scale=scale, x_scale=1.0,
+        function, start, jac=derivative, bounds=(low, high), method="trf", loss=loss,  # type: ignore[arg-type]
+        f_scale=scale, x_scale=1.0,
         ftol=2e-4, xtol=2e-3, gtol=1e-8, max_nfev=evaluations,
     )  # fmt: skip
     theta = np.asarray(done.x)
@@ -101,7 +102,7 @@ def bounds(model: Model) -> tuple[Floats, Floats]:
 
 def centres(model: Model) -> Floats:
     """(p,) θ that priors are about."""
-    return np.array([one.theta(one.start) for one in model.unknowns])
+    return np.array([one.believed for one in model.unknowns])
 
 
 def sigmas(model: Model) -> Floats:

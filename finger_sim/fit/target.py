@@ -27,8 +27,8 @@ _STIFF = {"N/mm": 1e3, "N/m": 1.0, "/mm": 1e3, "1/mm": 1e3, "/m": 1.0, "1/m": 1.
 def target_press(text: str, scene: Scene, mesh: TetMesh, direction: str = "flat") -> Press:
     """The press that a target asks for, at rest.
 
-    k = b + m F, k the tangent stiffness dF/dd, is F = (b/m)(exp(m d) − 1). Of b, m and points as many are needed as make
-    it one curve; points alone are taken as they are. Raises FitError naming what cannot be read.
+    k = b + m F, k the tangent stiffness dF/dd, is F = (b/m)(exp(m d) − 1). It takes as many of b, m and points as
+    make it one curve. Points alone are taken as they are. Raises FitError naming what cannot be read.
     """
     points, said, law = _read(text)
     turn = orientation_of(direction)

@@ -1,8 +1,9 @@
 """How well the data know each unknown: profile likelihood, bootstrap over presses, presses left out.
 
-The profile of an unknown θ_j is the least cost over all others where θ_j is fixed. Its interval is where this cost is no
-more than t² s² above the least of all, with s² the variance of differences and t Student's quantile. Priors of the others
-count, its own does not: the interval is what data say.
+The profile of an unknown θ_j is the least cost over all others where θ_j is fixed. Its interval is where this cost is
+no more than t² s² above the least of all, with s² the variance of differences and t Student's quantile. Priors of the
+others count, its own does not: the interval is what data say. Its ends then go out by what it matters how presses are
+simulated (`moved`).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats
-from .model import Model, relative_error
+from .model import Model, Residuals, relative_error
 from .runs import Runner
 from .solve import Solution, bounds, centres, robust_cost, robust_scale, robust_weights, sigmas
 
@@ -179,6 +180,22 @@ class _End:
         self.reached = min(self._most, self.reached * float(np.clip(factor, 0.4, 3.0)))
 
 
+def moved(model: Model, near: Local, others: Residuals) -> Floats:
+    """(p,) by how much θ would move if presses were simulated otherwise, as if differences were linear.
+
+    others: differences at the same θ, simulated otherwise
+    """
+    H = _hessian(model, near, without=-1)
+    change = others.values - near.solution.residuals.values
+    change = np.clip(change, -robust_scale(near.solution.size), robust_scale(near.solution.size))
+    return np.asarray(np.abs(np.linalg.solve(H, near.J.T @ (near.weights * change))))
+
+
+def widened(interval: Interval, by: float) -> Interval:
+    """The interval with both ends moved out in θ."""
+    return interval._replace(low=interval.low - by, high=interval.high + by)
+
+
 def bootstrap(model: Model, near: Local, seed: int = 0) -> list[tuple[float, float]]:
     """Intervals of θ over presses drawn anew, as if differences were linear; empty with fewer than ENOUGH presses."""
     count = len(model.presses)
@@ -193,13 +210,13 @@ def bootstrap(model: Model, near: Local, seed: int = 0) -> list[tuple[float, flo
     prior = near.variance / sigmas(model) ** 2
     pull = prior * (near.solution.theta - centres(model))
     draw = np.random.default_rng(seed)
-    moved = []
+    drawn = []
     for _ in range(DRAWS):
         times = np.bincount(draw.integers(count, size=count), minlength=count)
         H = sum(n * part[0] for n, part in zip(times, parts, strict=True)) + np.diag(prior + 1e-9)
         g = sum(n * part[1] for n, part in zip(times, parts, strict=True)) + pull
-        moved.append(near.solution.theta - np.linalg.solve(H, g))
-    ends = np.quantile(np.array(moved), [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], axis=0)
+        drawn.append(near.solution.theta - np.linalg.solve(H, g))
+    ends = np.quantile(np.array(drawn), [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], axis=0)
     return [(float(low), float(high)) for low, high in ends.T]
 
 

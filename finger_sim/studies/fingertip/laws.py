@@ -10,6 +10,8 @@ from ...arrays import Floats
 
 FORCES = (0.2, 5.0)
 """Normal forces over which stiffness is held against k = b + m F [N]."""
+KNOWN = (0.0, 2.0)
+"""Those over which that of human fingertips was measured [N]."""
 
 
 class Line(NamedTuple):
@@ -27,7 +29,7 @@ class Line(NamedTuple):
 
 
 def tangent(depth: Floats, force: Floats) -> tuple[Floats, Floats]:
-    """Normal forces (n − 1,) [N] and the tangent stiffness there [N/m], of a press (n,) with depth [m] and force [N]."""
+    """Normal forces (n − 1,) [N] and tangent stiffness there [N/m], of depths (n,) [m] and forces [N] of a press."""
     return 0.5 * (force[1:] + force[:-1]), np.diff(force) / np.diff(depth)
 
 
@@ -37,7 +39,7 @@ def stiffness_line(depth: Floats, force: Floats, between: tuple[float, float] = 
     Human fingertips follow it from 0 to 2 N (Pawluk and Howe 1999: force grows exponentially with depth).
     """
     F, k = tangent(depth, force)
-    within = (F >= between[0]) & (between[1] >= F)
+    within = (between[0] <= F) & (between[1] >= F)
     if within.sum() < 4:
         return None
     m, b = np.polyfit(F[within], k[within], 1)

@@ -12,7 +12,8 @@ from ...scene import Scene
 from ..at_rest import ORIENTATIONS, Press, at_rest
 from .laws import FORCES
 
-SCENE = "finger_haptic"
+SCENE, MESH = "finger_haptic", "finger_2000"
+"""The everyday finger, on a finer mesh: contact area comes in steps of a node's share."""
 STEP, DEEPEST = 5e-5, 3e-3
 """Between two points of the curve, and its end if no force of FORCES is reached before [m]."""
 LOADS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)

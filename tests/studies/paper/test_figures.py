@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
 import types
@@ -14,7 +13,7 @@ from cases import for_each
 from finger_sim import FingerSimError
 from finger_sim.cli import main
 from finger_sim.pictures.surfaces import new_figure
-from finger_sim.studies.paper.figures import FIGURES, Finding, figures, plain
+from finger_sim.studies.paper.figures import FIGURES, Finding, figures, module_of, plain
 
 pytest.importorskip("matplotlib")
 
@@ -82,7 +81,7 @@ def test_without_matplotlib_the_extra_is_named(isotropy, tmp_path, capsys, monke
 @for_each("name", FIGURES)
 def test_every_figure_is_there(name):
     """A module of its own, with what the protocol asks for; the command line knows it."""
-    study = importlib.import_module(f"finger_sim.studies.paper.{name}")
+    study = module_of(name)
     assert all(callable(getattr(study, part)) for part in ("measure", "numbers", "findings", "draw"))
 
 
