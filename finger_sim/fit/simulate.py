@@ -11,26 +11,13 @@ from ..arrays import Floats, Ints
 from ..scene import Pose, Scene
 from ..simulation.simulator import Simulator
 from ..simulation.touch import Imprint
+from ..studies.at_rest import SETTING
 from ..studies.shared import biot_strain
 from .press import plane_axes
 
 PLANE: dict[str, Any] = {"plane.point": [0.0, 0.0, 0.0], "plane.normal": [0.0, 0.0, 1.0]}
 """Presses are told in the plane's frame."""
-AT_REST: dict[str, Any] = {
-    **PLANE,
-    "gravity": [0.0, 0.0, 0.0],
-    "dt": 1e-2,
-    "substeps": 1,
-    "solver.method": "newton",
-    "solver.level": "standard",
-    "solver.tolerance": 1e-4,
-    "solver.max_iterations": 100,
-    "solver.relinearizations": 0,
-    "solver.settle": False,
-    "solver.sleep": False,
-    "coupling.type": "kinematic",
-    "coupling.following": "hold",
-}
+AT_REST: dict[str, Any] = {**SETTING, **PLANE, "solver.tolerance": 1e-4, "coupling.following": "hold"}
 """Of presses at rest: long steps, which let motion die out at once. Force is proportional to E then."""
 CALM = {"limits.viscosity": 8.0}
 """Of their limits. Less, and a deep press that no limit allows goes to and fro; more, and four steps bring no rest."""

@@ -95,7 +95,7 @@ def _of_shear(result: Fingertip) -> Finding:
     agrees = all(change < -0.02 for change in falls)
     return Finding(
         "contact area falls under shear (Delhaye 2014)",
-        f"from rest until nearly all slips {told}; the mesh tells it in steps of some percent",
+        f"from rest until nearly all slips {told}",
         agrees,
         "" if agrees else "the cause is not known; the model has no skin that is stiffer than its pulp",
     )

@@ -13,7 +13,7 @@ from ..at_rest import ORIENTATIONS, Press, at_rest
 from .laws import FORCES
 
 SCENE, MESH = "finger_haptic", "finger_2000"
-"""The everyday finger, on a finer mesh: contact area comes in steps of a node's share."""
+"""The everyday finger, on a finer mesh."""
 STEP, DEEPEST = 5e-5, 3e-3
 """Between two points of the curve, and its end if no force of FORCES is reached before [m]."""
 LOADS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
@@ -24,6 +24,9 @@ SHEAR_STEP, SHEAR_END = 1e-4, 2.5e-3
 """Way of the bone along the finger between two points, and its end [m]."""
 HELD = 5e-3
 """Part by which a force that is held may be off."""
+
+INK = 5e-5
+"""Gap between skin and plane up to which it counts as contact, as in a print of the finger [m]."""
 
 Meter = Callable[[float, float], None]
 
@@ -48,7 +51,7 @@ class Fingertip:
     """What was measured of a scene's finger.
 
     depth, force : (n,) of a flat press [m], [N]
-    area         : (n,) of contact [m²]
+    area         : (n,) of contact [m²], see print_area
     loads, tangential : normal forces (k,) [N] and tangential stiffness there before anything slips (k,) [N/m]
     """
 
@@ -68,7 +71,7 @@ def measured(scene: Scene, progress: Meter) -> Fingertip:
     rows: list[tuple[float, float, float]] = []
     while press.depth < DEEPEST - 1e-9 and (not rows or rows[-1][1] < 1.1 * FORCES[1]):
         force = press.to(STEP * (len(rows) + 1))
-        rows.append((press.depth, force, press.area()))
+        rows.append((press.depth, force, print_area(press)))
         progress(0.3 * min(1.0, force / FORCES[1]), 1.0)
     depth, force, area = np.array(rows).T
     other = Press(scene, ORIENTATIONS["flat"])
@@ -88,12 +91,33 @@ def measured(scene: Scene, progress: Meter) -> Fingertip:
     )  # fmt: skip
 
 
+def print_area(press: Press) -> float:
+    """Area of the skin, seen from the plane, that is nearer to it than INK [m²]; along an edge the gap grows evenly.
+
+    A node that comes into contact does not make it jump, as it does the area of touching nodes (`Touch.area`).
+    """
+    simulator = press.simulator
+    x, (a, b, c) = simulator.positions, simulator.mesh.surface.T
+    over = x[:, 2] - INK
+    seen = np.maximum(-0.5 * np.cross(x[b] - x[a], x[c] - x[a])[:, 2], 0.0)
+    return float(seen @ part_below(np.stack([over[a], over[b], over[c]], axis=1)))
+
+
+def part_below(values: Floats) -> Floats:
+    """Part of each triangle (k,) where a linear function with these values at its corners (k, 3) is below 0."""
+    low, middle, high = np.sort(values, axis=1).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        corner = low**2 / ((low - middle) * (low - high))
+        rest = 1.0 - high**2 / ((high - low) * (high - middle))
+    return np.where(high <= 0.0, 1.0, np.where(low >= 0.0, 0.0, np.where(middle > 0.0, corner, rest)))
+
+
 def sheared(scene: Scene, load: float, depth: Floats, force: Floats) -> Shear:
     """A finger that is pressed to a load, then moved along while the load is held; depth, force: of its flat press."""
     press = Press(scene, ORIENTATIONS["flat"])
     press.until(load)
     rate = float(np.interp(load, 0.5 * (force[1:] + force[:-1]), np.diff(force) / np.diff(depth)))
-    rows = [(0.0, press.along(0.0), press.area())]
+    rows = [(0.0, press.along(0.0), print_area(press))]
     while rows[-1][0] < SHEAR_END - 1e-9:
         way = rows[-1][0] + SHEAR_STEP
         sideways = press.along(way)
@@ -103,6 +127,6 @@ def sheared(scene: Scene, load: float, depth: Floats, force: Floats) -> Shear:
                 break
             press.to(press.depth + float(np.clip(0.7 * missing / rate, -5e-5, 5e-5)))
             sideways = press.along(way)
-        rows.append((way, sideways, press.area()))
+        rows.append((way, sideways, print_area(press)))
     way_, tangential, area = np.array(rows).T
     return Shear(load, way_, np.abs(tangential), area)

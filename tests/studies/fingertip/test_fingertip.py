@@ -10,7 +10,7 @@ from small_fingers import small
 
 from finger_sim.plain import plain
 from finger_sim.studies.fingertip.laws import exponent, stiffness_line, tangent
-from finger_sim.studies.fingertip.measures import Fingertip, Shear
+from finger_sim.studies.fingertip.measures import Fingertip, Shear, part_below
 
 B, M = 300.0, 1800.0
 
@@ -42,6 +42,14 @@ def test_a_law_is_found_in_its_own_curve():
     np.testing.assert_allclose(k, B + M * F, rtol=1e-2)
     assert stiffness_line(*(values[:4] for values in exponential())) is None
     assert exponent(np.array([1.0, 2.0, 4.0]), np.array([3.0, 12.0, 48.0])) == pytest.approx(2.0)
+
+
+def test_part_of_a_triangle_below_a_level():
+    """Against points drawn in the triangle; whole and none where all corners are on one side."""
+    draw = np.random.default_rng(0)
+    values = np.concatenate([draw.standard_normal((30, 3)), [[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0], [0.0, 0.0, -1.0]]])
+    points = draw.dirichlet([1.0, 1.0, 1.0], 20_000)
+    np.testing.assert_allclose(part_below(values), (points @ values.T < 0.0).mean(axis=0), atol=0.015)
 
 
 def test_verdicts():
