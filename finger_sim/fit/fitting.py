@@ -139,7 +139,7 @@ def fit(options: Options, runner: Runner, tell: Tell) -> Fit:
     )
     model = Model(scene, tuple(unknowns), tuple(presses), options.in_time or needs_time(unknowns), floor=options.floor)
     count = len(unknowns)
-    runner.foreseen = len(presses) * (options.starts + (REFINED * 4 + 3) * (count + 1) + 14 * count + 12)
+    runner.foreseen = len(presses) * (options.starts + (REFINED * 5 + 4) * (count + 1) + 16 * count + 16)
     tell(f"{len(presses)} presses, {count} unknowns: {', '.join(one.name for one in unknowns)}")
     before = model.curves(runner, [np.array([one.theta(one.start) for one in unknowns])])[0]
     _require_same_world(model, before)

@@ -30,9 +30,11 @@ def draw(fit: Fit) -> Figure:
 
     style: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
     with rc_context(style):
+        height = figure.get_size_inches()[1]
+        low = (tall + 0.35) / height
         grid = figure.add_gridspec(
-            2 * rows + 1, wide, height_ratios=[*([2.4, 1.0] * rows), tall], hspace=0.55, wspace=0.35,
-            left=0.12, right=0.97, top=0.96, bottom=0.09,
+            2 * rows, wide, height_ratios=[2.4, 1.0] * rows, hspace=0.35, wspace=0.35,
+            left=0.11, right=0.97, top=1.0 - 0.3 / height, bottom=low + 0.35 / height,
         )  # fmt: skip
         for k, press in enumerate(fit.model.presses):
             row, column = divmod(k, WIDEST)
@@ -44,7 +46,8 @@ def draw(fit: Fit) -> Figure:
             if column == 0:
                 force.set_ylabel("force [N]")
                 rest.set_ylabel("fit − data [N]")
-        _unknowns(figure.add_subplot(grid[2 * rows, :]), fit)
+        below = figure.add_gridspec(1, 1, left=0.25, right=0.97, top=low - 0.3 / height, bottom=0.45 / height)
+        _unknowns(figure.add_subplot(below[0]), fit)
     return figure
 
 
@@ -88,4 +91,3 @@ def _unknowns(axes: Any, fit: Fit) -> None:
     low, high = axes.get_xlim()
     axes.set_xlim(max(low, -1.7), min(high, 1.7))
     axes.set_xlabel("ln of value, or of a limit's room, over what was found; ◇ before", fontsize=8)
-    axes.figure.subplots_adjust(left=0.24 if len(fit.model.presses) <= 3 else 0.16)
