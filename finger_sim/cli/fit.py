@@ -83,12 +83,13 @@ def _pair(text: str) -> tuple[str, tuple[float, float]]:
 
 def _fit(options: argparse.Namespace) -> int:
     from ..console import gauge, say, show
-    from ..fit.fitting import Options, fit, read
+    from ..fit.fitting import Options, asked, fit, read
     from ..fit.picture import draw
     from ..fit.press import FitError
     from ..fit.report import sentences, tables, write
     from ..fit.runs import runner
     from ..pictures.surfaces import new_figure, save
+    from ..studies.bench.report import require_writable
 
     if options.out.suffix not in (".yaml", ".yml"):
         raise FitError(f"-o: got {options.out}, allowed: a file that ends in .yaml")
@@ -97,7 +98,10 @@ def _fit(options: argparse.Namespace) -> int:
         options.scene, options.data, options.target, options.fit, options.direction, dict(options.bound),
         dict(options.prior), options.starts, options.floor, options.carry, options.in_time,
     )  # fmt: skip
-    for note in read(what)[2]:
+    scene, presses, notes = read(what)
+    asked(what, scene, presses)
+    require_writable(options.out, "-o")
+    for note in notes:
         say(f"finger_sim: warning: {note}")
     work = options.work or options.out.with_name(f"{options.out.stem}_fit")
     with (

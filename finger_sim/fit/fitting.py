@@ -2,7 +2,7 @@
 
 1. Read the presses and judge them (`csv_data`, `bag_data`, `checks`), or make one of a target (`target`).
 2. Search: from several starts, with presses in longer parts, of a fine shipped finger on the mesh of 900 tetrahedra.
-3. Leave out what the data cannot tell: such a value stays as it is in the scene.
+3. Leave out what the data cannot tell: such a value stays as it is in the scene. A target is served by all.
 4. Converge on the scene's own mesh (`solve`).
 5. Say how well each is known (`uncertainty`), and how other meshes and the scene as it really runs do (`carrying`).
 """
@@ -131,13 +131,18 @@ def read(options: Options) -> tuple[Scene, list[Press], list[str]]:
     return scene, presses, notes
 
 
+def asked(options: Options, scene: Scene, presses: Sequence[Press]) -> list[Unknown]:
+    """The unknowns that are to be fitted. Raises FitError."""
+    names = [press.name for press in presses]
+    return unknowns_of(scene, options.names or default_names(scene), names, options.bounds, options.priors)
+
+
 def fit(options: Options, runner: Runner, tell: Tell) -> Fit:
     """The whole of it. tell: takes a line on each stage. Raises FitError, SceneError, MeshError, BagError."""
     scene, presses, notes = read(options)
-    unknowns = unknowns_of(
-        scene, options.names or default_names(scene), [p.name for p in presses], options.bounds, options.priors
-    )
-    model = Model(scene, tuple(unknowns), tuple(presses), options.in_time or needs_time(unknowns), floor=options.floor)
+    unknowns = asked(options, scene, presses)
+    wanted, in_time = options.target is not None, options.in_time or needs_time(unknowns)
+    model = Model(scene, tuple(unknowns), tuple(presses), in_time, wanted=wanted, floor=options.floor)
     count = len(unknowns)
     runner.foreseen = len(presses) * (options.starts + (REFINED * 5 + 4) * (count + 1) + 16 * count + 16)
     tell(f"{len(presses)} presses, {count} unknowns: {', '.join(one.name for one in unknowns)}")
@@ -146,8 +151,10 @@ def fit(options: Options, runner: Runner, tell: Tell) -> Fit:
     tell(f"searching from {options.starts} starts")
     searched = search(model, runner, options.starts)
     own = best_modulus(model, runner, [searched.theta])[0]
-    tell("what data can tell")
-    model, theta, lost = without_untold(model, runner, own, searched.size, before)
+    theta, lost = own, dict[str, tuple[Interval, str]]()
+    if not wanted:
+        tell("what data can tell")
+        model, theta, lost = without_untold(model, runner, own)
     tell(f"converging on {_mesh_words(scene)}")
     size = usual_size(model.residuals(runner, [theta])[0])
     solution = solve(model, runner, theta, size, LAST)
@@ -162,7 +169,7 @@ def fit(options: Options, runner: Runner, tell: Tell) -> Fit:
     found = scene.with_values(changes(model.unknowns, scene, solution.theta))
     curves = model.curves(runner, [solution.theta])[0]
     tell("as the scene runs, in time")
-    runs = None if options.target is not None else as_it_runs(model, runner, solution.theta, found, curves)
+    runs = None if wanted else as_it_runs(model, runner, solution.theta, found, curves)
     intervals = _widened(model, runner, near, intervals, runs)
     estimates = _estimates(unknowns, model, near, intervals, resampled, lost)
     others = []
@@ -190,7 +197,7 @@ def search(model: Model, runner: Runner, count: int) -> Solution:
 
 
 def without_untold(
-    model: Model, runner: Runner, theta: Floats, size: float, before: Sequence[Curve]
+    model: Model, runner: Runner, theta: Floats
 ) -> tuple[Model, Floats, dict[str, tuple[Interval, str]]]:
     """The model without unknowns that data do not tell, which keep the scene's value; θ of the others; and why.
 

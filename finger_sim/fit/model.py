@@ -61,6 +61,7 @@ class Model:
     in_time : presses are followed in time, with the scene's own step; else they rest after each small part
     coarse  : factor of the parts' length
     finer   : so many moments a part, see `at_rest_path`
+    wanted  : presses are a target, not data: all unknowns serve it, and priors are weak however far it stays away
     floor   : error of a force that counts as one, whatever the force [N]
     """
 
@@ -70,6 +71,7 @@ class Model:
     in_time: bool
     coarse: float = 1.0
     finer: int = 1
+    wanted: bool = False
     floor: float = 0.0
 
     def jobs(self, theta: Theta) -> list[Job]:

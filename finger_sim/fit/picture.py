@@ -9,7 +9,7 @@ import numpy as np
 from ..pictures.surfaces import new_figure
 from .fitting import Fit
 from .model import Curve
-from .press import Press
+from .press import TARGET, Press
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,7 +54,9 @@ def draw(fit: Fit) -> Figure:
 def _press(force: Any, rest: Any, press: Press, fitted: Curve, before: Curve, title: str) -> None:
     used = fitted.way.used
     depth = 1e3 * press.depth[used]
-    force.plot(depth, press.normal[used], ".", color=MEASURED, ms=3, label="measured")
+    force.plot(
+        depth, press.normal[used], ".", color=MEASURED, ms=3, label="asked for" if press.name == TARGET else "measured"
+    )
     force.plot(1e3 * press.depth[before.way.used], before.normal, color=BEFORE, lw=0.9, ls="--", label="before")
     force.plot(depth, fitted.normal, color=FITTED, lw=1.4, label="fitted")
     if press.tangential is not None and fitted.tangential is not None:

@@ -22,6 +22,8 @@ from ..scene.finger_shape import first_touch
 from ..scene.mesh import TetMesh
 from ..studies.at_rest import ORIENTATIONS
 
+TARGET = "target"
+"""Name of a press that nobody measured: see `target`."""
 OTHER_FINGER = "finger_paper"
 """A shipped mesh whose skin is not that of `finger_shape`."""
 PART = 1e-4

@@ -42,17 +42,18 @@ def solve(model: Model, runner: Runner, start: Floats, size: float, evaluations:
     size        : usual size of a difference, see `usual_size`: robustness and priors are relative to it
     evaluations : of trial points at most; each step costs a derivative besides
     """
-    scale, sigma, centre = robust_scale(size), sigmas(model), centres(model)
+    scale, centre = robust_scale(size), centres(model)
+    sigma = sigmas(model) / (LEAST_SIZE if model.wanted else size)
     low, high = bounds(model)
     count = [0]
 
     def function(theta: Floats) -> Floats:
         found = model.residuals(runner, [theta])[0].values
         count[0] = len(found)
-        return np.concatenate([found, size * (theta - centre) / sigma])
+        return np.concatenate([found, (theta - centre) / sigma])
 
     def derivative(theta: Floats) -> Floats:
-        return np.concatenate([jacobian(model, runner, theta), np.diag(size / sigma)])
+        return np.concatenate([jacobian(model, runner, theta), np.diag(1.0 / sigma)])
 
     def loss(z: Floats) -> Floats:
         """Soft L1 of the data; priors stay squares."""

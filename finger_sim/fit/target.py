@@ -10,7 +10,7 @@ import numpy as np
 
 from ..scene import Scene
 from ..scene.mesh import TetMesh
-from .press import FitError, Press, orientation_of, touch_height
+from .press import TARGET, FitError, Press, orientation_of, touch_height
 
 ALLOWED = 'points as "1 N at 1.5 mm", stiffness as "k = b + mF with m = 2/mm" and "b = 0.2 N/mm", apart by commas'
 FORCES = (0.2, 5.0)
@@ -43,7 +43,7 @@ def target_press(text: str, scene: Scene, mesh: TetMesh, direction: str = "flat"
     count = len(order)
     position = np.stack([np.zeros(count), np.zeros(count), touch - depth[order]], axis=1)
     return Press(
-        "target",
+        TARGET,
         direction,
         np.arange(count, dtype=np.float64),
         position,

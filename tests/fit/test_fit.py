@@ -96,7 +96,7 @@ def test_mistakes_are_named_before_anything_runs(tmp_path, capsys, arguments, wo
     code = main(["fit", "finger_haptic", "-o", str(out), "--workers", "1", *arguments])
     assert code == 2
     assert words in capsys.readouterr().err
-    assert not out.exists()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_was_made_is_found(tmp_path):

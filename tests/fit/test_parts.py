@@ -112,6 +112,7 @@ class Line:
     y: np.ndarray
     unknowns: tuple[Unknown, ...]
     presses: tuple[str, ...] = ("a", "b", "c", "d")
+    wanted: bool = False
 
     def residuals(self, runner: object, thetas: list[np.ndarray]) -> list[Residuals]:
         n = len(self.y)
