@@ -15,10 +15,10 @@ from finger_sim import Scene
 from finger_sim.plain import printing
 from finger_sim.scene.calibration import modulus
 from finger_sim.studies.at_rest import DEPTHS, ORIENTATIONS, Press, at_rest
+from finger_sim.studies.fingertip.laws import FORCES, stiffness_line, tangent
 from finger_sim.studies.mesh_error import CONVERGED, YOUNG
 
 STEP, DEEPEST = 5e-5, 2.6e-3  # [m]
-FITTED = (0.2, 5.0)  # [N]
 
 
 def main() -> None:
@@ -35,8 +35,7 @@ def main() -> None:
         told = [float(np.interp(at, depth, curve)) for curve in (force, without)]
         known = [value for place, value in zip(DEPTHS["flat"], meant, strict=True) if abs(place - at) < 1e-9]
         print(f"{1e3 * at:>9.2f}{told[0]:>10.3f}{told[1]:>11.3f}" + "".join(f"{value:>11.3f}" for value in known))
-    b, m, R2 = fitted(depth, force)
-    print(f"k = {1e-3 * b:.3f} N/mm + {1e-3 * m:.2f}/mm F over {FITTED[0]:g} to {FITTED[1]:g} N, R² = {R2:.3f}")
+    print(f"{stiffness_line(depth, force)} over {FORCES[0]:g} to {FORCES[1]:g} N")
     print(f"1 N at {1e3 * np.interp(1.0, force, depth):.2f} mm")
     draw(depth, force, without, meant, args.out)
     print(args.out)
@@ -55,15 +54,6 @@ def converged(scene: Scene) -> list[float]:
     return [softer * answers[f"flat {1e3 * at:g} mm [N]"].value for at in DEPTHS["flat"]]
 
 
-def fitted(depth: np.ndarray, force: np.ndarray) -> tuple[float, float, float]:
-    """b [N/m], m [1/m] and R² of k = b + m F, k = dF/d depth at rest."""
-    k, F = np.diff(force) / np.diff(depth), 0.5 * (force[1:] + force[:-1])
-    within = (FITTED[0] <= F) & (FITTED[1] >= F)
-    m, b = np.polyfit(F[within], k[within], 1)
-    left = k[within] - (b + m * F[within])
-    return float(b), float(m), float(1.0 - left.var() / k[within].var())
-
-
 def draw(depth: np.ndarray, force: np.ndarray, without: np.ndarray, meant: list[float], out: Path) -> None:
     """The curves, and stiffness against force, as a picture."""
     import matplotlib
@@ -71,21 +61,23 @@ def draw(depth: np.ndarray, force: np.ndarray, without: np.ndarray, meant: list[
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    b, m, R2 = fitted(depth, force)
+    law = stiffness_line(depth, force)
+    assert law is not None
+    b, m, R2 = law
     figure, (left, right) = plt.subplots(1, 2, figsize=(8.0, 3.4), layout="constrained")
     left.plot(1e3 * depth, force, color="C0", lw=2.0, label="the scene's finger")
     left.plot(1e3 * depth, without, color="C1", lw=1.2, label="without limits")
     left.plot(1e3 * np.array(DEPTHS["flat"]), meant, "k+", ms=8, label="converged")
     left.set(xlabel="depth of a flat press [mm]", ylabel="normal force at rest [N]", xlim=(0, 2.5), ylim=(0, 8))
     left.legend(frameon=False, fontsize=8, loc="upper left")
-    k, F = 1e-3 * np.diff(force) / np.diff(depth), 0.5 * (force[1:] + force[:-1])
-    right.plot(F, k, ".", color="C0", ms=4, label="the scene's finger")
-    line = np.array(FITTED)
+    F, k = tangent(depth, force)
+    right.plot(F, 1e-3 * k, ".", color="C0", ms=4, label="the scene's finger")
+    line = np.array(FORCES)
     right.plot(
         line, 1e-3 * (b + m * line), color="0.4", lw=1.0, label=f"k = {1e-3 * b:.2f} + {1e-3 * m:.2f} F, R² {R2:.3f}"
     )
     right.set(xlabel="normal force F [N]", ylabel="stiffness k [N/mm]", xlim=(0, 5.5))
-    right.set_ylim(0, 1.3e-3 * (b + m * FITTED[1]))
+    right.set_ylim(0, 1.3e-3 * (b + m * FORCES[1]))
     right.legend(frameon=False, fontsize=8, loc="upper left")
     out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, dpi=150)

@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from ..errors import FingerSimError
 from ..plain import printing
-from . import meshes, recordings, simulate, studies, view
+from . import fit, meshes, recordings, simulate, studies, view
 from .common import INTERRUPTED, MISTAKE
 from .signals import Terminated, unwinding
 
@@ -61,6 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     recordings.add_info(verbs)
     recordings.add_compare(verbs)
     meshes.add_mesh(verbs)
+    fit.add_fit(verbs)
     studies.add_bench(verbs)
     studies.add_figures(verbs)
     studies.add_stress(verbs)

@@ -129,6 +129,14 @@ def _import(options: argparse.Namespace) -> int:
 def add_info(verbs: Any) -> None:
     info = verb(verbs, "info", _info, "what a scene, a bag or a mesh holds", "finger_sim info press_slide")
     info.add_argument("what", metavar="SCENE|BAG|MESH", help="file, folder, or name of a shipped one")
+    info.add_argument(
+        "--press",
+        choices=("flat", "side", "tip"),
+        nargs="?",
+        const="flat",
+        metavar="HOW",
+        help="of a scene also its stiffness against force, k(F), pressed flat (default), side or tip; takes seconds",
+    )
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -137,7 +145,22 @@ def _info(options: argparse.Namespace) -> int:
 
     for title, table in info(options.what):
         show(title, table, "")
+    if options.press is not None:
+        _show_stiffness(options.what, options.press)
     return DONE
+
+
+def _show_stiffness(name: str, direction: str) -> None:
+    from ..console import say, show
+    from ..errors import FingerSimError
+    from ..fit.stiffness import press_curve, stiffness_table
+    from ..scene import Scene
+    from ..scene.resources import scene_named
+
+    path = scene_named(name)
+    if path is None or path.name == "metadata.yaml":
+        raise FingerSimError(f"--press: {name} is no scene, allowed: with a scene")
+    show(f"pressed {direction}, at rest", stiffness_table(*press_curve(Scene.load(path), direction, say)), "")
 
 
 def add_compare(verbs: Any) -> None:

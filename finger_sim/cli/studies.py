@@ -73,7 +73,7 @@ def add_figures(verbs: Any) -> None:
         "the paper's experiments, and laws of fingertips, measured and drawn: a PNG and a JSON each",
         "finger_sim figures --only beams standing --out figures",
     )
-    names = ("beams", "finger", "standing", "isotropy", "locking", "speed", "relaxation")
+    names = ("beams", "finger", "standing", "isotropy", "locking", "speed", "relaxation", "fingertip")
     figures.add_argument("--only", nargs="+", choices=names, metavar="NAME", help=f"of: {', '.join(names)}")
     figures.add_argument(
         "--out",

@@ -41,11 +41,11 @@ def name_of(mesh: str | Path | None) -> str | None:
 
 
 def scene_on(scene: Scene, mesh: str) -> Scene:
-    """The same tissue on another mesh: `mesh.file` changed, `material.young` scaled from its factor to the new one's.
+    """The same tissue on another mesh: `mesh` changed, `material.young` scaled from its factor to the new one's.
 
     mesh: a name in MODULUS, or a mesh file. Raises SceneError when there is no such file.
     """
     name = name_of(mesh)
     file = f"meshes/{name}.vtu" if name else mesh
     young = scene.material.young * (modulus(mesh) / modulus(scene.mesh.file))
-    return scene.with_values({"mesh.file": file, "material.young": young})
+    return scene.with_values({"mesh": {"file": file}, "material.young": young})

@@ -151,6 +151,18 @@ class Press:
         """Of the bone [m]."""
         return self._touch - self._height
 
+    @property
+    def force(self) -> float:
+        """The normal force at the last rest [N]."""
+        return self._force
+
+    def along(self, way: float) -> float:
+        """Goes along the finger to so far from where it came down [m]; the force of the plane along it, at rest [N]."""
+        self._along = way
+        force = self._rest()
+        self._force = float(force[2])
+        return float(force[0])
+
     def to(self, depth: float) -> float:
         """Goes there; the normal force at rest [N]."""
         start, way = self._height, self._touch - depth - self._height

@@ -28,9 +28,10 @@ FIGURES = {
     "locking": "over-constrained tetrahedra (Section 6)",
     "speed": "steps a second by constrained tetrahedra (Section 5.1)",
     "relaxation": "force that fades while a press is held, and what a tap loses (finger_relaxing)",
+    "fingertip": "a fingertip's stiffness, contact area and shear beside what is known of fingertips",
 }
 """Name: what it shows."""
-ELSEWHERE = {"relaxation": "..relaxation.figure"}
+ELSEWHERE = {"relaxation": "..relaxation.figure", "fingertip": "..fingertip.figure"}
 """Modules of those that are not of the paper."""
 THE_PAPER = "the paper says"
 """Head of the column that measurements are held against, unless a module has another (SAID_BY)."""
