@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,8 @@ from ..bags.template import Template, doubles
 from ..scene import Pose, place
 from ..scene.mesh import TetMesh
 from . import messages
+from .device import Device
+from .device_out import DeviceOut
 from .options import NodeOptions
 from .recorder import RecordedTopic, Recorder
 from .snapshot import Shown
@@ -65,11 +68,12 @@ class Outputs:
     """The publishers of the node and the recording, if there is one.
 
     options  : the node's options as they are now, never changed but replaced; a step works on what it read at once
-    recorder : gets every message that is sent; None while nothing is recorded
+    recorder : gets every message that is sent, but for those to `device`; None while nothing is recorded
+    device   : publishers of what a device is sent beside device_wrench
     mesh_messages : point clouds made so far
     """
 
-    def __init__(self, node: Any, options: NodeOptions) -> None:
+    def __init__(self, node: Any, options: NodeOptions, device: Device | None = None) -> None:
         self.options = options
         self.recorder: Recorder | None = None
         self.topology = b""
@@ -81,7 +85,13 @@ class Outputs:
         self._wrench = messages.wrench_template(
             wrench_frame_id(options.wrench_frame, options.finger_frame, options.world_frame)
         )
-        self._device = messages.wrench_template(f"{options.finger_frame}_world_aligned")
+        aligned = f"{options.finger_frame}_world_aligned"
+        self._device = messages.wrench_template(aligned)
+        given = device.command_input if device is not None else None
+        frames = {"world": aligned, "device": aligned, "handle": ""}
+        if given is not None and given.frame:
+            frames |= {"device": given.frame, "handle": given.child_frame}
+        self.device = DeviceOut(node, device, frames, ros_qos(Qos()))
         self._pose = messages.pose_template(options.world_frame)
         self._frames = Frames(options.world_frame, options.finger_frame)
         self._broadcast = _Broadcast(node, options) if _Broadcast.available() else None
@@ -117,18 +127,23 @@ class Outputs:
         """Their names."""
         return [self._names[name] for name in STEPPED]
 
-    def start_recording(self, recorder: Recorder, plane: Pose | None, stamp: int) -> None:
+    def start_recording(
+        self, recorder: Recorder, plane: Pose | None, stamp: int, standing: Iterable[tuple[str, bytes]] = ()
+    ) -> None:
         """Records from now on, beginning with what late listeners get too: the topology, and where the plane is.
 
         Nothing of a step that has begun before is in it: it would come before the topology.
         plane : see Simulator.plane_pose
         stamp : the present time [ns]
+        standing : topics and messages of what else holds now
         """
         frames = Frames(self.options.world_frame, self.options.finger_frame)
         recorder.put(self._names["mesh_topology"], self.topology, recorder.began)
-        standing = frames.standing(stamp, plane)
-        if standing is not None:
-            recorder.put(STANDING, standing, time.monotonic_ns())
+        for topic, data in standing:
+            recorder.put(topic, data, recorder.began)
+        still = frames.standing(stamp, plane)
+        if still is not None:
+            recorder.put(STANDING, still, time.monotonic_ns())
         self._frames = frames
         self.recorder = recorder
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from typing import Any
@@ -66,7 +67,7 @@ class Ticker(Loop):
         self._grid, self._phase = deadlines(period), no_phase(period)
         self._loaded = False
         self._wake = self._ask
-        self._endpoints = Endpoints(self._outputs.stepped(), self._inbox.subscriptions)
+        self._endpoints = Endpoints([*self._outputs.stepped(), *self._outputs.device.sent], self._inbox.subscriptions)
         self._said = ""
         self._held: Any = None
         self._no_purse, self._no_recording = build_purse(), no_recording()
@@ -86,7 +87,11 @@ class Ticker(Loop):
         self._loaded = True
 
     def release(self) -> None:
-        """Lets publishers and subscriptions go, once the thread has ended."""
+        """Takes force from the device, and lets publishers and subscriptions go; once the thread has ended."""
+        if self._held is not None and self._ready:
+            with contextlib.suppress(FingerSimError):
+                self._silence(self._held, time_of(self._clock))
+                self._send_to_device()
         self._endpoints.release()
 
     def shown(self, whole: bool) -> Shown | None:
@@ -153,7 +158,7 @@ class Ticker(Loop):
             self._answer_to(self._held, time.monotonic_ns(), command.stamp or time_of(self._clock))
         elif not self._inbox.wait(IDLE_PERIOD):
             if self._let_go(self._held, time.monotonic_ns(), time_of(self._clock)) and self._live.by_hand[0] != 0:
-                self._endpoints.send(tick.DEVICE)
+                self._send_to_device()
             self._tell()
 
     def _take(self) -> None:
@@ -169,8 +174,15 @@ class Ticker(Loop):
 
     def _send(self) -> None:
         """What the step brought, through rclpy."""
-        for which in range(len(self._outputs.stepped_topics)):
+        for which in (tick.CONTACT, tick.POSE):
             self._endpoints.send(which)
+        self._send_to_device()
+
+    def _send_to_device(self) -> None:
+        """What was filled in for it, through rclpy."""
+        self._endpoints.send(tick.DEVICE)
+        for k in np.flatnonzero(self._outputs.device.record.due).tolist():
+            self._endpoints.send(tick.POSE + 1 + k)
 
     def _make(self, compiled: Compiled) -> None:
         """The parts of what compiled code works on that are its own."""
@@ -179,11 +191,13 @@ class Ticker(Loop):
         self._shown, self.reported = Snapshot(state), Snapshot(state)
         self._heard = Heard(
             newest=np.zeros(7), received=_one(), stamp=_one(), transport=np.zeros(1), before=np.zeros(7), fresh=_one(),
-            zero=_one(), commands=_one(), looked=np.full(2, time.monotonic_ns()),
+            zero=_one(), commands=_one(), looked=np.full(len(self._inbox.subscriptions), time.monotonic_ns()),
             frame=frame_bytes(options.world_frame), at=np.zeros(7), which=_one(), when=_one(), failure=_one(),
         )  # fmt: skip
         axes = {"world_aligned": tick.WORLD_ALIGNED, "finger": tick.FINGER, "world": tick.WORLD}[options.wrench_frame]
-        self._sent = Sent(np.zeros(6), np.zeros(6), np.array([axes]), np.zeros(5, np.int64), _one(), _one())
+        self._sent = Sent(
+            np.zeros(6), np.zeros(6), np.array([axes]), np.zeros(2), np.zeros(6, np.int64), _one(), _one()
+        )  # fmt: skip
         self._by_hand, answers = _one(), np.array([self._triggers is not None], np.int64)
         self._flow, self._counted = (_one(), _one(), _one(), _one(), self._by_hand, answers), nothing_counted()
 
@@ -218,7 +232,8 @@ class Ticker(Loop):
         if self._arranged and all(a is b for a, b in zip(self._arranged, (recording, compiled, purse), strict=True)):
             return
         if recorder is not None:
-            self._sent.topics[:] = [recorder.number(name) for name in (*outputs.stepped_topics, *self._inbox.topics)]
+            topics = [recorder.number(name) for name in (*outputs.stepped_topics, *self._inbox.topics)]
+            self._sent.topics[: len(topics)] = topics
         self._bind(compiled, self._parts(compiled, recording, purse))
         self._arranged = (recording, compiled, purse)
 
@@ -226,9 +241,9 @@ class Ticker(Loop):
         incoming, outgoing, stepper = self._endpoints.incoming, self._endpoints.outgoing, self._stepper
         return Live(
             *self._flow, incoming.clock, self._grid, self._phase, self._heard, self._sent, compiled.body,
-            stepper.sender.record, purse or self._no_purse, incoming, outgoing, recording or self._no_recording,
-            self._counted, self.step_time, self.lateness, stepper.delay, stepper.transport, self._shown.record,
-            self.reported.record,
+            stepper.sender.record, purse or self._no_purse, incoming, outgoing, self._inbox.device.record,
+            self._outputs.device.record, recording or self._no_recording, self._counted, self.step_time, self.lateness,
+            stepper.delay, stepper.transport, self._shown.record, self.reported.record,
         )  # fmt: skip
 
     def _bind(self, compiled: Compiled, live: Live) -> None:
@@ -240,11 +255,14 @@ class Ticker(Loop):
             self._hear = direct(tick.hear, self._held, types.int64, types.int64, types.float64)
             self._answer_to = direct(tick.answer, self._held, types.int64, types.int64)
             self._let_go = direct(tick.let_go, self._held, types.int64, types.int64)
+            self._silence = direct(tick.silence, self._held, types.int64)
 
     def _look(self) -> None:
         """A message that is not the usual one."""
         which, received = int(self._heard.which[0]), int(self._heard.when[0])
-        self._judge(which, self._endpoints.taken(which).data, received)
+        if not self._inbox.explain(which):
+            made = which == tick.COMMAND and self._inbox.device.active
+            self._judge(which, self._inbox.device.command if made else self._endpoints.taken(which).data, received)
 
     def _judge(self, which: int, data: bytes, received: int) -> None:
         if which == tick.COMMAND:
@@ -274,10 +292,10 @@ class Ticker(Loop):
         which, failure = int(self._heard.which[0]), int(self._heard.failure[0])
         if failure != -UNFIT:
             raise FingerSimError(f"what comes in cannot be taken: {meaning(failure)}")
-        data, received = self._endpoints.taken(which).data, time.monotonic_ns()
-        if self._outputs.recorder is not None:
-            self._outputs.recorder.put(self._inbox.topics[which], data, received)
-        self._judge(which, data, received)
+        received = time.monotonic_ns()
+        data = self._inbox.arrived(which, self._endpoints.taken(which).data, received)
+        if data is not None:
+            self._judge(which, data, received)
         self._arrange()
 
     def _place(self) -> None:
