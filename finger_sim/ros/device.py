@@ -107,9 +107,7 @@ class CommandInput:
         "quaternion", "Orientation of the finger in the world instead of the handle's", default=None, optional=True
     )
     orientation_topic: str = field("text", "Topic of orientations, where they come by themselves", default="")
-    orientation_type: str = field(
-        "choice", "Their message type", default="Float32MultiArray", choices=tuple(TURNS)
-    )
+    orientation_type: str = field("choice", "Their message type", default="Float32MultiArray", choices=tuple(TURNS))
     orientation_columns: str = field("text", "What the numbers of their array are", default="qx qy qz qw")
 
     def check(self, prefix: str) -> None:
@@ -298,6 +296,16 @@ def device_from(name: str, overrides: Mapping[str, Any]) -> Device | None:
         if not ours:
             return device
     return parsed(_overridden(data, ours)) if ours else None
+
+
+def told(name: str, device: Device) -> str:
+    """What joins the node to a device, for the log of a node that begins."""
+    poses = " and ".join(filter(None, (device.command_input.topic, device.command_input.orientation_topic)))
+    sent = ", ".join(f"{output.topic} ({output.type})" for output in device.device_output)
+    clutch = f"; clutch on {device.clutch.topic}" if device.clutch is not None else ""
+    scale = device.device_frame.scale
+    scaled = f"; motion and force are scaled by {scale:g}" if scale != 1.0 else ""
+    return f"device {name or 'of parameters'}: poses from {poses}; forces to {sent or 'nothing'}{clutch}{scaled}"
 
 
 def parsed(data: Any) -> Device:

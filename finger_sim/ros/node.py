@@ -41,7 +41,7 @@ from ..simulation.simulator import Changed
 from . import parameters, rclpy_private
 from .bag_paths import bag_path, free_name
 from .bag_pipe import Standby
-from .device import device_from
+from .device import device_from, told
 from .device_in import DeviceIn
 from .diagnostics import Reporter
 from .given import unreached
@@ -120,6 +120,8 @@ class FingerNode(Node):  # type: ignore[misc]
         for text in (*parameters.unused_qualities(overrides, self), *unreached(given, self)):
             log.warning(text)
         log.info(parameters.forces(options, scene))
+        if device is not None:
+            log.info(told(options.device, device))
 
     def run(self, stop: threading.Event) -> int:
         """Serves until `stop` is set or the loop fails; the exit code."""

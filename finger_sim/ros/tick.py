@@ -32,7 +32,7 @@ from ..simulation import whole
 from ..simulation.whole import ASLEEP, DONE, FALLS_ASLEEP, FIRST, Body
 from .accounts import MOST_TRANSPORT, Counted, Recent, add, count
 from .device_bytes import CLUTCH, PASSED_OVER, POSITION, Inlet, take_in
-from .device_out import Outlets, fill_outlets
+from .device_fill import Outlets, fill_outlets
 from .memory import bytes_at
 from .pose_bytes import LOOK, read_pose
 from .snapshot import Copied, hand_over, is_there, take_counted

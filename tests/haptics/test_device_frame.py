@@ -76,7 +76,7 @@ def test_power_is_the_same_on_both_sides(
 def test_after_the_clutch_the_finger_goes_on_from_where_it_was(
     turn, scale, offset, tool, position, orientation, held_at, held_turn, way, spin
 ) -> None:
-    """Nothing jumps, and motion is what it was without the clutch: s R times the way, and the same turn in the world."""
+    """Nothing jumps. Motion is what it was without the clutch: s R times the way, and the same turn in the world."""
     frame = frame_of(turn, scale, offset, tool)
     index(frame, np.array([*position, *orientation.as_quat()]), np.array([*held_at, *held_turn.as_quat()]))
     p, q = in_world(frame, position, orientation)

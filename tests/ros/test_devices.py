@@ -1,0 +1,267 @@
+"""The node with each shipped device and a stand-in for its driver: its topics, its types, forces along its axes.
+
+The stand-ins know nothing of the files: where a handle is to be and where a force must point is worked out here from
+what each driver's source says of its axes. The block replaces the finger: its bottom is `z` above the plane.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point, PoseStamped, Vector3, WrenchStamped
+from ros_helpers import Client, NodeProcess, write_block
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool, Float32MultiArray, Float64MultiArray
+
+from finger_sim.bags.reader import BagReader
+from finger_sim.scene.resources import shipped_names
+from finger_sim.simulation import replay
+
+LEVEL = ("-p", "command_input.orientation:=[0.0, 0.0, 0.0, 1.0]")
+"""The block is not laid on its side, as a finger is."""
+DEPTH = 0.0005
+TESTED = ["force_dimension", "ros_force_dimension", "geomagic_force_command", "haply_inverse3", "crtk", "moveit_servo"]
+MISSING = {"geomagic_touch": "omni_msgs/msg/OmniFeedback", "geomagic_touch_x": "tf2_msgs/msg/TFMessage"}
+
+
+def pose_stamped(frame, at, turn=(0.0, 0.0, 0.0, 1.0)):
+    message = PoseStamped()
+    message.header.frame_id = frame
+    p, q = message.pose.position, message.pose.orientation
+    p.x, p.y, p.z = map(float, at)
+    q.x, q.y, q.z, q.w = map(float, turn)
+    return message
+
+
+def xyz(v):
+    return [v.x, v.y, v.z]
+
+
+class Stand:
+    """A driver: what it sends for a handle that presses the block `depth` into the plane, and where it hears forces."""
+
+    more: tuple[str, ...] = ()
+
+    def send(self, client, depth):
+        raise NotImplementedError
+
+
+class ForceDimension(Stand):
+    """forcedimension_ros2: ee_pose is the device's p turned by 90° about y; forces are along the device's own axes."""
+
+    more = LEVEL
+    topic, kind, up = "/fd/fd_controller/commands", Float64MultiArray, (0.0, 0.0, 1.0)
+
+    def send(self, client, depth):
+        device = np.array([0.0, 0.0, -0.03 - depth])  # z is up
+        turned = Rotation.from_euler("y", 90, degrees=True).apply(device)
+        turn = Rotation.from_euler("y", 90, degrees=True).as_quat()
+        client.publish(pose_stamped("fd_base", turned, turn), "/fd/ee_pose")
+
+    def force(self, message):
+        return list(message.data)
+
+
+class RosForceDimension(Stand):
+    more = LEVEL
+    topic, kind, up = "/robot/command/force", Vector3, (0.0, 0.0, 1.0)
+
+    def send(self, client, depth):
+        client.publish(Point(z=-0.03 - depth), "/robot/feedback/position")
+
+    def force(self, message):
+        return xyz(message)
+
+
+class ForceCommand(Stand):
+    """OpenHaptics' axes: y is up."""
+
+    more = LEVEL
+    topic, kind, up = "/force_command", WrenchStamped, (0.0, 1.0, 0.0)
+
+    def send(self, client, depth):
+        client.publish(pose_stamped("base", (0.0, -0.03 - depth, 0.0)), "/pose")
+
+    def force(self, message):
+        return xyz(message.wrench.force)
+
+
+class Haply(Stand):
+    """The grip is held so that the finger is level: its x is the grip's y, and so on; the device's x is our −y."""
+
+    topic, kind, up = "/haply_forces", Float32MultiArray, (0.0, 0.0, 1.0)
+    base = Rotation.from_matrix([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    finger = Rotation.from_matrix(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]]).T)
+
+    def send(self, client, depth):
+        x, y, z, w = map(float, (self.base.inv() * self.finger.inv()).as_quat())
+        client.publish(Float32MultiArray(data=[w, x, y, z]), "/haply_quaternion")
+        client.publish(Float32MultiArray(data=[0.0, -0.13, 0.17 - depth, 0.0, 0.0, 0.0]), "/haply_pos_vel")
+
+    def force(self, message):
+        return list(message.data)
+
+
+class Crtk(Stand):
+    """A handle that is upside down, on which the finger is not: up is against its z."""
+
+    more = ("-p", "device_frame.rotate:=x=x y=-y z=-z")
+    topic, kind, up = "/MTML/body/servo_cf", WrenchStamped, (0.0, 0.0, -1.0)
+
+    def send(self, client, depth, x=0.0):
+        client.publish(pose_stamped("MTML_base", (x, 0.0, -depth), (1.0, 0.0, 0.0, 0.0)), "/MTML/measured_cp")
+
+    def force(self, message):
+        return xyz(message.wrench.force)
+
+
+class MoveItServo(Stand):
+    """Poses for a tool whose z points down, out of the pad; nothing is sent to it."""
+
+    topic = ""
+
+    def send(self, client, depth):
+        turn = Rotation.from_matrix(np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]).T).inv().as_quat()
+        client.publish(pose_stamped("panda_link0", (0.0, 0.0, -depth), turn), "/servo_node/pose_target_cmds")
+
+
+STANDS = dict(zip(TESTED, [ForceDimension, RosForceDimension, ForceCommand, Haply, Crtk, MoveItServo], strict=True))
+
+
+def arguments(folder, device, *more):
+    return ("-p", f"scene:={write_block(folder)}", "-p", f"device:={device}", "-p", "mesh_rate:=0.0", *more)
+
+
+def test_all_that_ships_is_tried() -> None:
+    assert set(TESTED) | set(MISSING) == set(shipped_names()["devices"])
+
+
+@pytest.mark.parametrize("device", TESTED)
+def test_a_driver_moves_the_finger_and_gets_its_force(tmp_path, device) -> None:
+    """Pressed, the force points up along the driver's axes, and as much as device_wrench; it is zero after the press,
+    and at once when poses stop."""
+    stand = STANDS[device]()
+    with (
+        NodeProcess(tmp_path / "log", *arguments(tmp_path, device, *stand.more)) as node,
+        Client(node.domain) as client,
+    ):
+        poses = client.collect(PoseStamped, "pose")
+        wrenches = client.collect(WrenchStamped, "device_wrench")
+        forces = client.collect(stand.kind, stand.topic) if stand.topic else []
+        press = lambda: stand.send(client, DEPTH)  # noqa: E731
+        client.until(lambda: poses and abs(poses[-1].pose.position.z + DEPTH) < 1e-9, press)
+        p, q = poses[-1].pose.position, poses[-1].pose.orientation
+        np.testing.assert_allclose(xyz(p), [0.0, 0.0, -DEPTH], atol=1e-7)
+        assert abs(q.w) == pytest.approx(1.0, abs=1e-6)
+        client.until(lambda: wrenches[-1].wrench.force.z > 0.01, press)
+        if stand.topic:
+            forced = lambda: np.array(stand.force(forces[-1]))  # noqa: E731
+            client.until(lambda: forces and np.linalg.norm(forced()) > 0.01, press)
+            along = forced() @ stand.up
+            assert along > 0.9 * np.linalg.norm(forced())
+            client.until(lambda: abs(forced() @ stand.up - wrenches[-1].wrench.force.z) < 1e-3, press)
+            client.until(lambda: not forced().any(), lambda: stand.send(client, -0.001))
+            client.until(lambda: forced().any(), press)
+            client.until(lambda: not forced().any())  # poses have stopped
+            count = len(forces)
+            client.until(lambda: len(forces) > count + 20)
+            assert not any(any(stand.force(message)) for message in forces[count:])
+        assert node.end() == 0
+    refused = re.findall("refused", node.output)
+    assert not refused, node.output
+
+
+@pytest.mark.parametrize("device", MISSING)
+def test_a_type_that_is_not_installed_is_named(tmp_path, device) -> None:
+    """The wheels have neither; their bytes are tested in test_device_bytes.py and test_device_out.py."""
+    with NodeProcess(tmp_path / "log", *arguments(tmp_path, device)) as node:
+        assert node.code() == 1
+        assert f"a type that is installed here: no {MISSING[device]} is" in node.output
+        assert "Traceback" not in node.output
+
+
+def test_the_clutch_takes_force_and_holds_and_is_replayed(tmp_path) -> None:
+    """While it is open nothing pushes in any message and the finger stays; closed, motion goes on from there. The bag
+    gives poses, contact and device_wrench back to the last bit, from its commands and the clutch alone."""
+    stand, bag = Crtk(), tmp_path / "bag"
+    gloved = {"topic": "/glove", "rate": "60.0", "type": "Float32MultiArray", "columns": "0 intensity 0 0 0"}
+    outputs = [word for key, value in gloved.items() for word in ("-p", f"device_output.1.{key}:={value}")]
+    more = (*stand.more, "-p", f"record:={bag}", *outputs)
+    with NodeProcess(tmp_path / "log", *arguments(tmp_path, "crtk", *more)) as node, Client(node.domain) as client:
+        node.wait_for("ready after")
+        poses = client.collect(PoseStamped, "pose")
+        forces = client.collect(stand.kind, stand.topic)
+        wrenches = client.collect(WrenchStamped, "device_wrench")
+        glove = client.collect(Float32MultiArray, "/glove")
+        handle = {"x": 0.0, "depth": DEPTH}
+        move = lambda: stand.send(client, handle["depth"], handle["x"])  # noqa: E731
+
+        def clutch(pressed):
+            client.publish(Joy(buttons=[int(pressed)]), "/footpedals/clutch")
+            move()
+
+        client.until(lambda: forces and forces[-1].wrench.force.z < -0.01 and glove and glove[-1].data[1] > 0.0, move)
+        assert [glove[-1].data[k] for k in (0, 2, 3, 4)] == [0.0] * 4
+        node_has = lambda text: text in node.output  # noqa: E731
+        client.until(lambda: node_has("the clutch is open: holding the pose"), lambda: clutch(True))
+        handle |= {"x": 0.004, "depth": -0.01}
+        client.until(lambda: not any(xyz(forces[-1].wrench.force)) and glove[-1].data[1] == 0.0, move)
+        count = len(poses), len(forces), len(glove), len(wrenches)
+        client.until(lambda: len(poses) > count[0] + 60, move)
+        assert {tuple(xyz(m.pose.position)) for m in poses[count[0] :]} == {(0.0, 0.0, -DEPTH)}
+        assert not any(
+            any(xyz(m.wrench.force) + xyz(m.wrench.torque)) for m in forces[count[1] :] + wrenches[count[3] :]
+        )
+        assert not any(any(m.data) for m in glove[count[2] :])
+        _, values = client.report(move)
+        assert values["clutch"] == "open"
+        client.until(lambda: node_has("the clutch is closed: device_wrench"), lambda: clutch(False))
+        client.until(lambda: forces[-1].wrench.force.z < -0.01, move)
+        assert xyz(poses[-1].pose.position) == pytest.approx([0.0, 0.0, -DEPTH], abs=1e-12)
+        handle["x"] = 0.006
+        client.until(lambda: abs(poses[-1].pose.position.x - 0.002) < 1e-12, move)
+        assert node.end() == 0
+    replay.run(None, bag, tmp_path / "again", replay.Selection(mode="recorded"))
+    for topic, size in (("/pose", 56), ("/contact_wrench", 48), ("/device_wrench", 48)):
+        live, again = ([m.data[-size:] for m in BagReader(b).messages([topic])] for b in (bag, tmp_path / "again"))
+        first = len(live) - len(again)
+        assert first < 400
+        assert live[first:] == again, topic
+    assert [m.data[4] for m in BagReader(bag).messages(["/finger/clutch"])] == [0, 1, 0]
+
+
+@pytest.mark.parametrize("way", ["by hand", "triggered"])
+def test_the_same_through_rclpy_and_in_mode_triggered(tmp_path, way) -> None:
+    """Force, clutch and time-out; in mode triggered an open clutch takes force without waiting for a command."""
+    stand = Haply()
+    changes = {"FINGER_SIM_RCL": "0"} if way == "by hand" else {}
+    more = ("-p", "clutch.topic:=/clutch", *(("-p", "mode:=triggered") if way == "triggered" else ()),
+            "-p", "command_timeout:=5.0")  # fmt: skip
+    given = arguments(tmp_path, "haply_inverse3", *more)
+    with NodeProcess(tmp_path / "log", *given, changes=changes) as node, Client(node.domain) as client:
+        node.wait_for("ready after")
+        forces = client.collect(stand.kind, stand.topic)
+        press = lambda: stand.send(client, DEPTH)  # noqa: E731
+        client.until(lambda: forces and forces[-1].data[2] > 0.01, press)
+        begin = time.monotonic()
+        client.until(lambda: not any(forces[-1].data), lambda: client.publish(Bool(data=True), "/clutch"))
+        assert time.monotonic() - begin < 4.0  # not by the time-out
+        client.until(lambda: forces[-1].data[2] > 0.01, lambda: (client.publish(Bool(data=False), "/clutch"), press()))
+        assert node.end() == 0
+
+
+def test_the_end_of_the_node_takes_force(tmp_path) -> None:
+    """A driver that keeps the last force it heard is not left with one."""
+    stand = RosForceDimension()
+    given = arguments(tmp_path, "ros_force_dimension", *stand.more, "-p", "command_timeout:=100.0")
+    with NodeProcess(tmp_path / "log", *given) as node, Client(node.domain) as client:
+        forces = client.collect(stand.kind, stand.topic)
+        wrenches = client.collect(WrenchStamped, "device_wrench")
+        client.until(lambda: forces and forces[-1].z > 0.01, lambda: stand.send(client, DEPTH))
+        node.process.terminate()
+        client.until(lambda: not any(xyz(forces[-1])) and not any(xyz(wrenches[-1].wrench.force)))
+        assert node.code() == 0
