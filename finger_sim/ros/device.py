@@ -15,7 +15,7 @@ from ..bags.imports.turns import ALLOWED, parsed_turn
 from ..errors import BagError, SceneError
 from ..physics.rotations import Quaternion
 from ..scene import Parameter, Vec3
-from ..scene.fields import UNKNOWN_KEY, Field, field, parse_part, specs, to_dict
+from ..scene.fields import UNKNOWN_KEY, field, parse_part, specs, to_dict
 from ..scene.pose import FARTHEST
 from ..scene.resources import find_device
 from ..scene.ros_values import from_ros
@@ -266,17 +266,19 @@ class Device:
         return to_dict(self) | {OUTPUTS: [to_dict(output) for output in self.device_output]}
 
     def parameters(self) -> Iterator[Parameter]:
-        """Every value under its dotted name, entries of the list by their number."""
+        """Every value under its dotted name, those of the list under device_output_0, device_output_1 and so on."""
         for name, part in (("command_input", self.command_input), ("device_frame", self.device_frame)):
             yield from _parameters(part, f"{name}.")
         if self.clutch is not None:
             yield from _parameters(self.clutch, "clutch.")
         for number, output in enumerate(self.device_output):
-            yield from _parameters(output, f"{OUTPUTS}.{number}.")
+            yield from _parameters(output, f"{OUTPUTS}_{number}.")
 
 
 OUTPUTS = "device_output"
 BLOCKS = (*specs(Device), OUTPUTS)
+_ENTRY = re.compile(rf"{OUTPUTS}_([0-9]{{1,3}})")
+"""How parameters name an entry of the list; rcl takes no name that begins with a number."""
 
 
 def device_from(name: str, overrides: Mapping[str, Any]) -> Device | None:
@@ -284,7 +286,7 @@ def device_from(name: str, overrides: Mapping[str, Any]) -> Device | None:
 
     Raises SceneError, which names the place, the value and what is allowed.
     """
-    ours = {key: value for key, value in overrides.items() if key.partition(".")[0] in BLOCKS}
+    ours = {key: value for key, value in overrides.items() if _place(key)[0] in BLOCKS}
     data: Any = {}
     if name:
         text = YamlText(find_device(name))
@@ -346,32 +348,30 @@ def _overridden(data: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[s
     """Plain values with those of dotted keys in their places. Raises SceneError for a key that has no place."""
     out = copy.deepcopy(dict(data))
     kinds = {"command_input": CommandInput, "device_frame": DeviceFrame, "clutch": Clutch, OUTPUTS: DeviceOutput}
-    for key, value in sorted(overrides.items(), key=lambda item: _places(item[0])):
-        block, _, rest = key.partition(".")
-        if block == OUTPUTS:
-            number, _, rest = rest.partition(".")
-            outputs = list(out.get(block) or [])
-            if not number.isdecimal() or not rest or int(number) > len(outputs):
-                allowed = f"{OUTPUTS}.NUMBER.KEY, numbers from 0 to {len(outputs)}"
-                raise SceneError(key, _short(value), f"no value: of the list, parameters are {allowed}")
-            part = dict(outputs[int(number)]) if int(number) < len(outputs) else {}
-            out[block] = [*outputs[: int(number)], part, *outputs[int(number) + 1 :]]
-        elif not rest:
-            raise SceneError(
-                key, _short(value), f"no value: it is a block of the keys {', '.join(specs(kinds[block]))}"
-            )
+    for key, value in sorted(overrides.items(), key=lambda item: _place(item[0])):
+        block, number, name = _place(key)
+        known = specs(kinds[block])
+        if number >= 0:
+            outputs = out[block] = [dict(output) for output in out.get(block) or []]
+            if number > len(outputs):
+                raise SceneError(key, _short(value), f"{OUTPUTS}_0 to {OUTPUTS}_{len(outputs)}, as the list goes on")
+            if number == len(outputs):
+                outputs.append({})
+            part = outputs[number]
+        elif not name or block == OUTPUTS:
+            keys = f"{OUTPUTS}_0.topic and others" if block == OUTPUTS else f"{block}.{next(iter(known))} and others"
+            raise SceneError(key, _short(value), f"no value: a block, of which the parameters are {keys}")
         else:
             part = out[block] = dict(out.get(block) or {})
-        spec: Field | None = specs(kinds[block]).get(rest)
-        part[rest] = value if spec is None else from_ros(value, spec)
+        part[name] = from_ros(value, known[name]) if name in known else value
     return out
 
 
-def _places(key: str) -> tuple[str, int, str]:
-    """Of a dotted key in the order of the lists that they are in."""
-    block, _, rest = key.partition(".")
-    number, _, name = rest.partition(".")
-    return (block, int(number), name) if number.isdecimal() else (block, -1, rest)
+def _place(key: str) -> tuple[str, int, str]:
+    """Block of a parameter, its number in the list of outputs (else -1), and its name there."""
+    block, _, name = key.partition(".")
+    match = _ENTRY.fullmatch(block)
+    return (OUTPUTS, int(match[1]), name) if match else (block, -1, name)
 
 
 def _short(value: Any) -> Any:

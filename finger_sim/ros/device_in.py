@@ -41,9 +41,10 @@ _TAKEN = (types.int64, types.Array(types.uint8, 1, "C"), types.int64, types.floa
 
 
 class Source(NamedTuple):
-    """A topic of the device: what comes there, its name and its class of messages."""
+    """A topic of the device: what comes there, the parameter that names it, its name, and its class of messages."""
 
     what: int
+    key: str
     topic: str
     kind: Any
 
@@ -61,15 +62,12 @@ class DeviceIn:
         self.device = device
         said = device or Device()
         given, clutch = said.command_input, said.clutch
-        self.sources = [Source(POSITION, checked_topic("command_input.topic", given.topic),
-                               message_class("command_input.type", given.type))]  # fmt: skip
+        self.sources = [_source(POSITION, "command_input.", given.topic, given.type)]
         if given.orientation_topic:
-            topic = checked_topic("command_input.orientation_topic", given.orientation_topic)
-            kind = message_class("command_input.orientation_type", given.orientation_type)
-            self.sources.append(Source(ORIENTATION, topic, kind))
+            topic, kind = given.orientation_topic, given.orientation_type
+            self.sources.append(_source(ORIENTATION, "command_input.orientation_", topic, kind))
         if clutch is not None:
-            topic = checked_topic("clutch.topic", clutch.topic)
-            self.sources.append(Source(CLUTCH, topic, message_class("clutch.type", clutch.type)))
+            self.sources.append(_source(CLUTCH, "clutch.", clutch.topic, clutch.type))
         template = pose_template(world_frame)
         place = said.device_frame
         frame = given.frame or (world_frame if given.topic == COMMANDS and POSES[given.type].header else "")
@@ -146,6 +144,12 @@ class DeviceIn:
             NO_TURN: f"no orientation has come on {said.orientation_topic}",
             OLD_TURN: f"the last orientation on {said.orientation_topic} is older than command_timeout",
         }.get(why, f"no pose on {topic}: {', '.join(f'{name} {value:g}' for name, value in fields)}")
+
+
+def _source(what: int, prefix: str, topic: str, kind: str) -> Source:
+    """Raises SceneError."""
+    key = f"{prefix}topic"
+    return Source(what, key, checked_topic(key, topic), message_class(f"{prefix}type", kind))
 
 
 def message_class(key: str, name: str) -> Any:

@@ -20,6 +20,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from ..bags import cdr
 from ..bags.poses import check_pose, read_pose
 from ..bags.reader import Qos
+from ..errors import SceneError
 from ..scene import Pose
 from .accounts import MOST_TRANSPORT
 from .device import COMMANDS
@@ -86,6 +87,10 @@ class Inbox:
         self._recorded = {self._plane: self._plane.name}
         self._recorded[self._commands] = node.resolve_topic_name(COMMANDS) if device.active else self._commands.name
         self._clutch = device.recorded_topics(node)
+        own = outputs.topics
+        for source, heard in zip(device.sources, (self._commands, *self._beside), strict=True):
+            if heard.name in own:
+                raise SceneError(source.key, source.topic, "a topic on which the node itself does not send")
         waiter = Waiter(node, self._commands.entity)
         self.wait, self.wake = waiter.wait, waiter.wake
 

