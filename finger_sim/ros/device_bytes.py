@@ -44,7 +44,7 @@ class Inlet(NamedTuple):
     own     : (1,) 1 where orientations come by themselves
     turned  : (1,) when the last one came, a steady time [ns]; 0: none has
     place   : Frame of the device, which the clutch moves
-    handle  : (7,) last pose of the handle, its quaternion of length 1
+    grip    : (7,) last pose of the handle, its quaternion of length 1
     raw     : (7,) numbers of the last message as they came [m]
     clutched : (1,) 1 while the clutch is open; the same memory as Rendered.clutched
     opens   : (1,) state of the button that opens it
@@ -67,7 +67,7 @@ class Inlet(NamedTuple):
     own: Ints
     turned: Ints
     place: Frame
-    handle: Floats
+    grip: Floats
     raw: Floats
     clutched: Floats
     opens: Ints
@@ -96,7 +96,7 @@ def take_in(inlet: Inlet, what: int, data: Bytes, received: int, timeout: float)
     stamp = _read(inlet, what, data)
     if stamp < 0:
         return stamp
-    raw, handle = inlet.raw, inlet.handle
+    raw, handle = inlet.raw, inlet.grip
     if what == ORIENTATION or inlet.columns[POSITION, 6] >= 0:
         norm = math.sqrt(raw[3] * raw[3] + raw[4] * raw[4] + raw[5] * raw[5] + raw[6] * raw[6])
         if not SHORT_QUATERNION <= norm <= LONG_QUATERNION:

@@ -97,7 +97,7 @@ def _express(outlets: Outlets, k: int, inlet: Inlet, wrench: Floats, limits: Flo
     if outlets.axes[k] != WORLD_AXES:
         to_device(inlet.place, out, out)
     if outlets.axes[k] == HANDLE_AXES:
-        to_handle(inlet.handle, out, out)
+        to_handle(inlet.grip, out, out)
     p = part_within(min(outlets.limit[k], limits[0]), out[0], out[1], out[2])
     q = part_within(limits[1], out[3], out[4], out[5])
     pushes = False

@@ -83,7 +83,7 @@ class DeviceIn:
             own=_ints(bool(given.orientation_topic)),
             turned=_ints(0),
             place=build_frame(place.turn, place.scale, place.offset, place.tool),
-            handle=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+            grip=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
             raw=np.zeros(7),
             clutched=clutched,
             opens=_ints(clutch is None or clutch.opens == "pressed"),
@@ -99,7 +99,7 @@ class DeviceIn:
             record.layout[CLUTCH, LISTED], record.layout[CLUTCH, COUNT] = clutch.type == "Joy", clutch.button
         if given.fixed is not None:
             record.columns[POSITION, 3:] = -1
-            record.handle[3:] = handle_at(record.place, given.fixed)
+            record.grip[3:] = handle_at(record.place, given.fixed)
         self.record, self._template = record, template
         self._held = held(record)
         self._take_in = direct(device_bytes.take_in, self._held, *_TAKEN)

@@ -35,7 +35,7 @@ class Sent:
         device = parsed({"device_output": list(outputs), **blocks})
         self.out = DeviceOut(NODE, device, FRAMES, None)
         self.inlet = DeviceIn(device, "world", np.zeros(1)).record
-        self.inlet.handle[3:] = turn
+        self.inlet.grip[3:] = turn
         templates = [template for _, template in self.out.sent]
         messages = np.zeros((3 + len(templates), WORDS), np.int64)
         for words, template in zip(messages[3:], templates, strict=True):
