@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from finger_sim.ros.device import Clutch, CommandInput, DeviceFrame, DeviceOutput
 from finger_sim.ros.options import NodeOptions
 from finger_sim.scene import Scene
 from finger_sim.scene.reference import dotted, rows
@@ -24,7 +25,11 @@ PICTURES = "../config/pictures/"
 """How pages name the folder of pictures, so that links also work where Markdown is read as it lies here."""
 VIEW = "view.md"
 """A page that comes after the first one, where it exists."""
-PARTS = {"scene": Scene, "node": NodeOptions}
+PARTS = {
+    "scene": Scene, "node": NodeOptions, "command_input": CommandInput, "device_frame": DeviceFrame, "clutch": Clutch,
+    "device_output": DeviceOutput,
+}  # fmt: skip
+"""What the tables of parameters tell of."""
 
 
 def parameter_table(part: type) -> str:
@@ -36,7 +41,7 @@ def parameter_table(part: type) -> str:
 
 
 def with_tables(markdown: str) -> str:
-    """A page with `<!-- parameters: scene -->` and `<!-- parameters: node -->` replaced."""
+    """A page with `<!-- parameters: scene -->` and those of other PARTS replaced."""
     return re.sub(r"<!-- parameters: (\w+) -->", lambda m: parameter_table(PARTS[m[1]]), markdown)
 
 

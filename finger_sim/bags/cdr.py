@@ -28,6 +28,7 @@ TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 PARAMETER_EVENT = "rcl_interfaces/msg/ParameterEvent"
 LOG = "rcl_interfaces/msg/Log"
 EMPTY = "std_msgs/msg/Empty"
+BOOL = "std_msgs/msg/Bool"
 
 STAMPS_END = 2**31 * 1_000_000_000
 """Times from here on [ns] cannot be stamps of messages: their seconds have 32 bits."""
@@ -156,6 +157,11 @@ def _parameter_value(value: Any) -> Any:
 def empty() -> bytes:
     """Empty: nothing but that it came."""
     return _serialize(_new(EMPTY), EMPTY)
+
+
+def truth(value: bool) -> bytes:
+    """Bool."""
+    return _serialize(_new(BOOL, value), BOOL)
 
 
 def _header(stamp: int, frame_id: str) -> Any:

@@ -1,7 +1,7 @@
-"""What was changed while a bag was recorded: parameters set live, and resets.
+"""What was changed while a bag was recorded: parameters set live, resets, and the clutch of a device.
 
 A node records each on the steps' own thread when it takes effect, between the last step without it and the first one
-with it: parameters on /parameter_events as rclpy publishes them, resets on a topic of their own.
+with it: parameters on /parameter_events as rclpy publishes them, resets and the clutch on topics of their own.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ EVENTS_QOS = Qos(depth=1000)
 RESET = "reset"
 """Last part of the name of the topic with resets: as that of the service which makes them."""
 RESET_QOS = Qos()
+CLUTCH = "clutch"
+"""Last part of the name of the topic with the clutch of a device, as std_msgs/Bool: true while it is open."""
+CLUTCH_QOS = Qos()
 
 
 class Change(NamedTuple):
@@ -40,6 +43,8 @@ class Change(NamedTuple):
     """The node's own parameters, plain values by name."""
     reset: bool
     """Back to rest at the last command."""
+    clutch: bool | None
+    """Whether the clutch is open from then on; None: as before."""
     message: Message
     """As it was recorded."""
     number: int
@@ -66,9 +71,11 @@ def changes_in(reader: BagReader) -> tuple[list[Change], list[str]]:
         number = numbers[message.topic]
         scene: dict[str, Any] = {}
         options: dict[str, Any] = {}
-        reset = message.type == cdr.EMPTY
+        reset, clutch = message.type == cdr.EMPTY, None
         try:
-            values = {} if reset else dict(_set_values(message.data))
+            if message.type == cdr.BOOL:
+                clutch = bool(cdr.deserialize(message.data, cdr.BOOL).data)
+            values = {} if reset or clutch is not None else dict(_set_values(message.data))
         except ValueError as error:
             left_out.append(f"{_place(message, number)}: {error}")
             continue
@@ -77,7 +84,7 @@ def changes_in(reader: BagReader) -> tuple[list[Change], list[str]]:
                 scene[name] = from_ros(value, scene_keys[name])
             else:
                 options[name] = value
-        out.append(Change(message.log_time, scene, options, reset, message, number))
+        out.append(Change(message.log_time, scene, options, reset, clutch, message, number))
     return out, left_out
 
 
@@ -137,7 +144,8 @@ def before_their_steps(reader: BagReader, commands: Iterator[Received], changes:
 
 def _tells_changes(name: str, kind: str) -> bool:
     name = absolute(name)
-    return (name == EVENTS and kind == cdr.PARAMETER_EVENT) or (name.endswith(f"/{RESET}") and kind == cdr.EMPTY)
+    by_name = {cdr.EMPTY: RESET, cdr.BOOL: CLUTCH}.get(kind)
+    return (name == EVENTS and kind == cdr.PARAMETER_EVENT) or (by_name is not None and name.endswith(f"/{by_name}"))
 
 
 def _place(message: Message, number: int) -> str:

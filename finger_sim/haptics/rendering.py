@@ -31,6 +31,7 @@ class Rendered(NamedTuple):
     ramp: Floats
     timeout: Floats
     stale: Floats
+    clutched: Floats
     part: Floats
     force_limit: Floats
     torque_limit: Floats
@@ -42,11 +43,12 @@ class Rendering:
     scale   : factor of the clamped wrench; the clamps hold after it too
     ramp    : time in which the wrench comes in when commands start or resume [s]
     timeout : age from which a command is stale [s]
-    stale   : whether the last command is
+    stale   : whether the last command is, or the clutch is open
+    clutched : whether it is: a device that is moved to another place is not pushed
     record  : all of this, as arrays for compiled code
     """
 
-    scale, ramp, timeout, stale = Entry(float), Entry(float), Entry(float), Entry(bool)
+    scale, ramp, timeout, stale, clutched = Entry(float), Entry(float), Entry(float), Entry(bool), Entry(bool)
 
     def __init__(self, scale: float = 1.0, ramp: float = 0.2, timeout: float = 0.1) -> None:
         self.record = Rendered(**side_by_side(Rendered))
@@ -59,7 +61,7 @@ class Rendering:
         return NO_WRENCH
 
     def watch(self, age: float) -> bool:
-        """Whether a command of an age [s] is recent; where it is not, the wrench comes in anew after it."""
+        """Whether a command of an age [s] has a wrench: it is recent, and the clutch closed. Else one comes in anew."""
         return bool(self._watch(self._held, age))
 
     def render(self, wrench: Floats, coupling: Coupling, dt: float) -> Floats:
@@ -93,7 +95,7 @@ def silence(rendered: Rendered) -> None:
 @kernel
 def watch(rendered: Rendered, age: float) -> bool:
     """`Rendering.watch`."""
-    recent = not age > rendered.timeout[0]
+    recent = not age > rendered.timeout[0] and rendered.clutched[0] == 0.0
     rendered.stale[0] = 0.0 if recent else 1.0
     if not recent:
         rendered.part[0] = 0.0

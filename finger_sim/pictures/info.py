@@ -142,6 +142,8 @@ def _origin(reader: BagReader) -> dict[str, str]:
         facts["live changes that cannot be read"] = f"{len(left_out)}; {left_out[0]}"
     if resets := sum(change.reset for change in changes):
         facts["resets"] = str(resets)
+    if opened := sum(change.clutch is True for change in changes):
+        facts["clutch opened"] = f"{opened}×"
     return facts
 
 

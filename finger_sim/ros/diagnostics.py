@@ -190,7 +190,10 @@ class Reporter:
         values["refused commands"] = str(refused)
         if refused:
             values["last refusal"] = reason
-        if self._stepper.rendering.stale and not self._loop.resting:
+        rendering = self._stepper.rendering
+        if self._inbox.device.active:
+            values["clutch"] = "open" if rendering.clutched else "closed"
+        if rendering.stale and not rendering.clutched and not self._loop.resting:
             problems.append((1, "command is stale: holding the pose"))
         if refused > self._refused:
             problems.append((1, f"{refused - self._refused} commands refused: {reason}"))

@@ -1,4 +1,4 @@
-"""What comes in on command_pose and plane_pose, taken by the loop itself when it is about to step.
+"""What comes in on command_pose, or from a device, and on plane_pose, taken by the loop when it is about to step.
 
 No executor waits for these topics: woken for each command, only to note it for a later step, it would take the
 interpreter from the present one. Until the loop is ready whoever serves ROS looks now and then, so that nothing is
@@ -17,10 +17,15 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from ..bags import cdr
 from ..bags.poses import check_pose, read_pose
 from ..bags.reader import Qos
+from ..errors import SceneError
 from ..scene import Pose
 from .accounts import MOST_TRANSPORT
+from .device import COMMANDS
+from .device_bytes import CLUTCH, PASSED_OVER, POSITION
+from .device_in import DeviceIn
 from .outputs import Outputs, ros_qos
 from .rclpy_private import Waiter, take
 from .recorder import RecordedTopic
@@ -54,8 +59,9 @@ class Command(NamedTuple):
 
 
 class Inbox:
-    """The subscriptions of the loop.
+    """The subscriptions of the loop: commands, poses of the plane, and what else a device sends.
 
+    device   : makes commands of what its driver sends
     wait     : for a command, or for `wake`; see `Waiter`
     received : commands that came here, good or not
     also     : (1,) those that compiled code took beside them
@@ -67,7 +73,10 @@ class Inbox:
     What is transformed is recorded as it is followed, in the world frame: a replay needs no transforms.
     """
 
-    def __init__(self, node: Any, outputs: Outputs, has_plane: Callable[[], bool], frames: Lookup | None) -> None:
+    def __init__(
+        self, node: Any, outputs: Outputs, has_plane: Callable[[], bool], device: DeviceIn, frames: Lookup | None
+    ) -> None:
+        self.device = device
         self.received = self.refused = 0
         self.also = np.zeros(1, np.int64)
         self.early = threading.Lock()
@@ -77,28 +86,39 @@ class Inbox:
         self._said: set[str] = set()
         self._lock = threading.Lock()
         overriding = QoSOverridingOptions((QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY))
-        self._commands = _Subscription(node, "command_pose", COMMAND_QOS[outputs.options.mode], overriding)
-        self._plane = _Subscription(node, "plane_pose", PLANE_QOS)
+        qos, poses = COMMAND_QOS[outputs.options.mode], device.sources[0]
+        self._commands = _Subscription(node, poses.topic, poses.kind, qos, overriding)
+        self._plane = _Subscription(node, "plane_pose", PoseStamped, PLANE_QOS)
+        self._beside = [_Subscription(node, each.topic, each.kind, qos) for each in device.sources[1:]]
+        self._recorded = {self._plane: self._plane.name}
+        self._recorded[self._commands] = node.resolve_topic_name(COMMANDS) if device.active else self._commands.name
+        self._clutch = device.recorded_topics(node)
+        own = outputs.topics
+        for source, heard in zip(device.sources, (self._commands, *self._beside), strict=True):
+            if heard.name in own:
+                raise SceneError(source.key, source.topic, "a topic on which the node itself does not send")
         waiter = Waiter(node, self._commands.entity)
         self.wait, self.wake = waiter.wait, waiter.wake
 
     @property
     def subscriptions(self) -> tuple[Any, ...]:
         """What no executor is to wait for."""
-        return (self._commands.entity, self._plane.entity)
+        return tuple(each.entity for each in (self._commands, self._plane, *self._beside))
 
     @property
-    def topics(self) -> tuple[str, str]:
-        """Their names: commands, poses of the plane."""
-        return (self._commands.name, self._plane.name)
+    def topics(self) -> list[str]:
+        """Names under which they are recorded: commands, poses of the plane, the clutch if there is one."""
+        return [self._recorded[self._commands], self._recorded[self._plane], *(topic.name for topic in self._clutch)]
 
     def recorded_topics(self) -> list[RecordedTopic]:
-        """Topics that are recorded as they come."""
-        kind = "geometry_msgs/msg/PoseStamped"
-        return [
-            RecordedTopic(self._commands.name, kind, COMMAND_QOS[self._outputs.options.mode]),
-            RecordedTopic(self._plane.name, kind, PLANE_QOS),
-        ]
+        """Topics that are recorded: as they come, or as they are made of what a device sends."""
+        qualities = (COMMAND_QOS[self._outputs.options.mode], PLANE_QOS)
+        poses = [RecordedTopic(name, cdr.POSE_STAMPED, qos) for name, qos in zip(self.topics, qualities, strict=False)]
+        return poses + self._clutch
+
+    def standing(self) -> list[tuple[str, bytes]]:
+        """What a recording begins with: whether the clutch is open."""
+        return [(topic.name, self.device.button) for topic in self._clutch]
 
     def counts(self) -> tuple[int, int, str]:
         """`received`, `refused` and `reason` of one moment."""
@@ -111,22 +131,37 @@ class Inbox:
         now: steady time of this look [ns], by which all that is taken came, and after which all else comes.
         """
         with self._lock:
-            taken = self._take(self._commands, now)
+            for which, beside in enumerate(self._beside, start=2):
+                for data, received in beside.take(now):
+                    self._arrived(which, data, received)
+            taken = self._take(0, self._commands, now)
             if not taken:
                 return []
-            self.received += len(taken)
             commands = [self._command(data, received) for data, received in taken]
             return [command for command in commands if command is not None]
+
+    def arrived(self, which: int, data: bytes, received: int) -> bytes | None:
+        """A message that was taken elsewhere, but not looked at, as a PoseStamped; None where there is no pose."""
+        with self._lock:
+            return self._arrived(which, data, received)
+
+    def explain(self, which: int) -> bool:
+        """Whether compiled code could not use a message of a device, which then is counted."""
+        with self._lock:
+            why, self.device.record.why[0] = int(self.device.record.why[0]), 0
+            if why != 0:
+                self._refuse("command", self.device.words(self._what(which), why))
+            return why != 0
 
     def judge(self, data: bytes, received: int) -> Command | None:
         """The command in a message that was taken and counted elsewhere; None where it is of no use. It is recorded."""
         with self._lock:
-            return self._command(self._kept(self._commands, data, received), received)
+            return self._command(self._kept(0, data, received), received)
 
     def judge_plane(self, data: bytes, received: int) -> Pose | None:
         """The same of a pose of the plane."""
         with self._lock:
-            accepted = self._accepted(self._kept(self._plane, data, received), "plane_pose")
+            accepted = self._accepted(self._kept(1, data, received), "plane_pose")
             return None if accepted is None else accepted[0]
 
     def _command(self, data: bytes, received: int) -> Command | None:
@@ -140,21 +175,47 @@ class Inbox:
     def plane(self, now: int | None = None) -> Pose | None:
         """The newest good pose of the plane that came since the last look; `now` as for commands."""
         with self._lock:
-            good = [self._accepted(data, "plane_pose") for data, _ in self._take(self._plane, now)]
+            good = [self._accepted(data, "plane_pose") for data, _ in self._take(1, self._plane, now)]
             return next((accepted[0] for accepted in reversed(good) if accepted is not None), None)
 
-    def _take(self, subscription: _Subscription, now: int | None) -> list[tuple[bytes, int]]:
-        """What came on it, recorded if there is a recording."""
-        return [(self._kept(subscription, data, received), received) for data, received in subscription.take(now)]
+    def _take(self, which: int, subscription: _Subscription, now: int | None) -> list[tuple[bytes, int]]:
+        """The poses that came on it, as they are followed, recorded if there is a recording."""
+        arrived = [(self._arrived(which, data, received), received) for data, received in subscription.take(now)]
+        return [(self._kept(which, data, received), received) for data, received in arrived if data is not None]
 
-    def _kept(self, subscription: _Subscription, data: bytes, received: int) -> bytes:
-        """A message as it is followed, in the world frame if it can be; recorded if there is a recording."""
+    def _kept(self, which: int, data: bytes, received: int) -> bytes:
+        """A pose as it is followed, in the world frame if it can be; recorded if there is a recording."""
         if self._frames is not None:
             data = self._frames.in_world(data)
+        self._record(which, data, received)
+        return data
+
+    def _record(self, which: int, data: bytes, received: int) -> None:
         recorder = self._outputs.recorder
         if recorder is not None:
-            recorder.put(subscription.name, data, received)
-        return data
+            recorder.put(self.topics[which], data, received)
+
+    def _what(self, which: int) -> int:
+        """What comes in a subscription of the device."""
+        return POSITION if which == 0 else int(self.device.record.roles[which - 2])
+
+    def _arrived(self, which: int, data: bytes, received: int) -> bytes | None:
+        """A pose as PoseStamped; None where there is none: a mistake is counted. A clutch is recorded."""
+        if which < 2 and not (which == 0 and self.device.active):
+            self.received += which == 0
+            return data
+        what, timeout = self._what(which), self._outputs.options.command_timeout
+        told = self.device.take_in(what, data, received, timeout)
+        if told == PASSED_OVER:
+            return None
+        if which == 0:
+            self.received += 1
+        if told < 0:
+            self._refuse("command", self.device.words(what, told))
+            return None
+        if told != 0 and what == CLUTCH:
+            self._record(2, self.device.button, received)
+        return self.device.command if told != 0 and what == POSITION else None
 
     def _accepted(self, data: bytes, what: str) -> tuple[Pose, int] | None:
         """Pose and stamp [ns] of a message; None where it is of no use: that is counted, and the first is logged."""
@@ -169,23 +230,27 @@ class Inbox:
                 return pose, message.stamp
         except ValueError as error:
             pose = str(error)
+        self._refuse(what, pose)
+        return None
+
+    def _refuse(self, what: str, why: str) -> None:
+        """Counts it; the first of a kind is logged."""
         if what not in self._said:
             self._said.add(what)
-            self._log.warning(f"{what} refused: {pose}; refusals are counted in /diagnostics")
+            self._log.warning(f"{what} refused: {why}; refusals are counted in /diagnostics")
         self.refused += 1
-        self.reason = f"{what}: {pose}"
-        return None
+        self.reason = f"{what}: {why}"
 
 
 class _Subscription:
-    """One to PoseStamped whose messages lie until they are taken, at most as many as its depth.
+    """One whose messages lie until they are taken, at most as many as its depth.
 
     name : of the topic, resolved
     """
 
-    def __init__(self, node: Any, topic: str, qos: Qos, overriding: Any = None) -> None:
+    def __init__(self, node: Any, topic: str, kind: Any, qos: Qos, overriding: Any = None) -> None:
         self.entity = node.create_subscription(
-            PoseStamped, topic, lambda _: None, ros_qos(qos), raw=True, qos_overriding_options=overriding
+            kind, topic, lambda _: None, ros_qos(qos), raw=True, qos_overriding_options=overriding
         )
         self.name = str(self.entity.topic_name)
         self._looked = time.monotonic_ns()

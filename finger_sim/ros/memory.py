@@ -43,6 +43,11 @@ def read_float64(data: Bytes, at: int) -> float:
     return float(data[at : at + 8].view(np.float64)[0])
 
 
+def read_float32(data: Bytes, at: int) -> float:
+    """The number of half that precision in the four bytes from `at` on."""
+    return float(data[at : at + 4].view(np.float32)[0])
+
+
 def write_int32(data: Bytes, at: int, value: int) -> None:
     """The lower 32 bits of a number into the four bytes from `at` on."""
     data[at : at + 4] = np.array([value], np.int64).view(np.uint8)[:4]
@@ -53,12 +58,19 @@ def write_float64(data: Bytes, at: int, value: float) -> None:
     data[at : at + 8] = np.array([value], np.float64).view(np.uint8)
 
 
+def write_float32(data: Bytes, at: int, value: float) -> None:
+    """A number, rounded to half that precision, into the four bytes from `at` on."""
+    data[at : at + 4] = np.array([value], np.float32).view(np.uint8)
+
+
 type_callable(call)(lambda context: lambda address, arguments: types.int64)
 type_callable(bytes_at)(lambda context: lambda address, size: _BYTES)
 type_callable(read_int32)(lambda context: lambda data, at: types.int64)
 type_callable(read_float64)(lambda context: lambda data, at: types.float64)
+type_callable(read_float32)(lambda context: lambda data, at: types.float64)
 type_callable(write_int32)(lambda context: lambda data, at, value: types.none)
 type_callable(write_float64)(lambda context: lambda data, at, value: types.none)
+type_callable(write_float32)(lambda context: lambda data, at, value: types.none)
 
 
 @lower_builtin(call, types.Integer, types.BaseTuple)  # type: ignore[untyped-decorator]
@@ -90,6 +102,7 @@ def _place(context: Any, builder: Any, sig: Any, args: Any, kind: Any) -> Any:
 for _read, _write, _kind, _stored in (
     (read_int32, write_int32, types.int64, types.int32),
     (read_float64, write_float64, types.float64, types.float64),
+    (read_float32, write_float32, types.float64, types.float32),
 ):
 
     @lower_builtin(_read, types.Array, types.Integer)  # type: ignore[untyped-decorator]

@@ -41,6 +41,8 @@ from ..simulation.simulator import Changed
 from . import parameters, rclpy_private
 from .bag_paths import bag_path, free_name
 from .bag_pipe import Standby
+from .device import device_from, told
+from .device_in import DeviceIn
 from .diagnostics import Reporter
 from .given import unreached
 from .graph_watch import GraphWatch
@@ -85,7 +87,9 @@ class FingerNode(Node):  # type: ignore[misc]
         options = parameters.options_from(overrides)
         scene = Scene.load(options.scene)
         scene = parameters.scene_from(scene, overrides)
+        device = device_from(options.device, overrides)
         parameters.declare(self, parameters.node_parameters(options))
+        parameters.declare(self, parameters.device_parameters(device))
         parameters.declare(self, scene.parameters())
         parameters.require_known(overrides, self, scene, options.scene)
         self._bags = bag_path("record_directory", options.record_directory)
@@ -96,11 +100,13 @@ class FingerNode(Node):  # type: ignore[misc]
         self._standby = Standby()
         self._standby.prepare()
         self._progress = "loading"
-        self._outputs = Outputs(self, options)
+        self._device = device
+        self._outputs = Outputs(self, options, device)
         self._stepper = Stepper(scene, self._outputs, log)
         self._processors = parameters.processors(options.cpu_affinity)
         frames = Lookup(self, options.world_frame) if options.transform_commands else None
-        self._inbox = Inbox(self, self._outputs, lambda: self._stepper.scene.plane is not None, frames)
+        commands = DeviceIn(device, options.world_frame, self._stepper.rendering.record.clutched)
+        self._inbox = Inbox(self, self._outputs, lambda: self._stepper.scene.plane is not None, commands, frames)
         self._resets = RecordedTopic(str(self.resolve_service_name(f"~/{RESET}")), cdr.EMPTY, RESET_QOS)
         self._rosout = Rosout(self, self._outputs)
         self._beginning = threading.Lock()
@@ -127,6 +133,8 @@ class FingerNode(Node):  # type: ignore[misc]
         for text in (*parameters.unused_qualities(overrides, self), *unreached(given, self)):
             log.warning(text)
         log.info(parameters.forces(options, scene))
+        if device is not None:
+            log.info(told(options.device, device))
 
     def run(self, stop: threading.Event) -> int:
         """Serves until `stop` is set or the loop fails; the exit code."""
@@ -341,7 +349,8 @@ class FingerNode(Node):  # type: ignore[misc]
             options, scene, sim = self._outputs.options, self._stepper.scene, self._stepper.sim
             sources = (self._outputs, self._inbox, self._rosout)
             topics = [topic for source in sources for topic in source.recorded_topics()] + [self._resets]
-            origin = origin_of("node", scene, sim.mesh, dataclasses.asdict(options), machine())
+            said = {} if self._device is None else {"device_settings": self._device.to_dict()}
+            origin = origin_of("node", scene, sim.mesh, dataclasses.asdict(options) | said, machine())
             bag = {
                 "compression": options.record_compression,
                 "split_bytes": 1e6 * options.record_split_size or math.inf,
@@ -351,7 +360,8 @@ class FingerNode(Node):  # type: ignore[misc]
             failed = self.get_logger().error
             recorder = Recorder(path, topics, options.record_queue, self._standby.pipe(), bag, failed)
             self._recorded_from = self._loop.progress
-            self._outputs.start_recording(recorder, sim.plane_pose, time_of(self.get_clock()))
+            now, standing = time_of(self.get_clock()), self._inbox.standing()
+            self._outputs.start_recording(recorder, sim.plane_pose, now, standing)
         self._loop.call(lambda: None)  # from now on the loop records
         self.get_logger().info(f"recording {recorder.path}")
         return recorder

@@ -23,6 +23,7 @@ class NodeOptions:
     """What the node does around the simulation."""
 
     scene: str = field("text", "Scene file, or the name of a shipped scene", default="finger_haptic")
+    device: str = field("text", "Device file, or the name of a shipped one; empty: none", default="")
     world_frame: str = field(
         "text", "Frame of commands and of the mesh; a command in another is refused", default="world"
     )

@@ -6,6 +6,7 @@ Each message is serialised once; the same bytes are published and recorded.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from ..bags.template import Template, doubles
 from ..scene import Pose, place
 from ..scene.mesh import TetMesh
 from . import messages, transforms
+from .device import Device
+from .device_out import DeviceOut
 from .options import NodeOptions
 from .recorder import RecordedTopic, Recorder
 from .snapshot import Shown
@@ -66,11 +69,12 @@ class Outputs:
     """The publishers of the node and the recording, if there is one.
 
     options  : the node's options as they are now, never changed but replaced; a step works on what it read at once
-    recorder : gets every message that is sent; None while nothing is recorded
+    recorder : gets every message that is sent, but for those to `device`; None while nothing is recorded
+    device   : publishers of what a device is sent beside device_wrench
     mesh_messages : point clouds made so far
     """
 
-    def __init__(self, node: Any, options: NodeOptions) -> None:
+    def __init__(self, node: Any, options: NodeOptions, device: Device | None = None) -> None:
         self.options = options
         self.recorder: Recorder | None = None
         self.topology = b""
@@ -82,8 +86,13 @@ class Outputs:
         self._wrench = messages.wrench_template(
             wrench_frame_id(options.wrench_frame, options.finger_frame, options.world_frame)
         )
-        self._device = messages.wrench_template(f"{options.finger_frame}_world_aligned")
-        self._throttled = messages.wrench_template(f"{options.finger_frame}_world_aligned")
+        aligned = f"{options.finger_frame}_world_aligned"
+        self._device, self._throttled = messages.wrench_template(aligned), messages.wrench_template(aligned)
+        given = device.command_input if device is not None else None
+        frames = {"world": aligned, "device": aligned, "handle": ""}
+        if given is not None and given.frame:
+            frames |= {"device": given.frame, "handle": given.child_frame}
+        self.device = DeviceOut(node, device, frames, ros_qos(Qos()))
         self._pose = messages.pose_template(options.world_frame)
         self._frames = Frames(options.world_frame, options.finger_frame)
         self._broadcast = transforms.Broadcast(node, options) if transforms.available() else None
@@ -115,22 +124,32 @@ class Outputs:
         return [(self._publishers[name], template) for name, template in zip(STEPPED, sent, strict=True)]
 
     @property
+    def topics(self) -> set[str]:
+        """Names of all that is sent on."""
+        return {*self._names.values(), *(str(publisher.topic_name) for publisher, _ in self.device.sent)}
+
+    @property
     def stepped_topics(self) -> list[str]:
         """Their names."""
         return [self._names[name] for name in STEPPED]
 
-    def start_recording(self, recorder: Recorder, plane: Pose | None, stamp: int) -> None:
+    def start_recording(
+        self, recorder: Recorder, plane: Pose | None, stamp: int, standing: Iterable[tuple[str, bytes]] = ()
+    ) -> None:
         """Records from now on, beginning with what late listeners get too: the topology, and where the plane is.
 
         Nothing of a step that has begun before is in it: it would come before the topology.
         plane : see Simulator.plane_pose
         stamp : the present time [ns]
+        standing : topics and messages of what else holds now
         """
         frames = Frames(self.options.world_frame, self.options.finger_frame)
         recorder.put(self._names["mesh_topology"], self.topology, recorder.began)
-        standing = frames.standing(stamp, plane)
-        if standing is not None:
-            recorder.put(STANDING, standing, time.monotonic_ns())
+        for topic, data in standing:
+            recorder.put(topic, data, recorder.began)
+        still = frames.standing(stamp, plane)
+        if still is not None:
+            recorder.put(STANDING, still, time.monotonic_ns())
         self._frames = frames
         self.recorder = recorder
 
@@ -167,7 +186,7 @@ class Outputs:
         self.send("mesh_points", self._cloud.fill(shown.stamp, points.tobytes()), shown.at)
         self.mesh_messages += 1
 
-    def device(self, shown: Shown) -> None:
+    def throttled(self, shown: Shown) -> None:
         """Sends again what a device was sent with that step: whoever takes this does not hold up the loop."""
         self.send("device_wrench_throttle", self._throttled.fill(shown.stamp, doubles(shown.device)))
 

@@ -19,6 +19,7 @@ from ..scene import Parameter, Scene
 from ..scene.fields import Field, parse_part, specs
 from ..scene.reference import dotted
 from ..scene.ros_values import from_ros, plain, to_ros
+from .device import Device
 from .options import NodeOptions
 
 QOS = "qos_overrides."
@@ -60,6 +61,11 @@ def declare(node: Any, parameters: Iterable[Parameter]) -> None:
             descriptor(parameter),
             ignore_override=True,
         )
+
+
+def device_parameters(device: Device | None) -> Iterable[Parameter]:
+    """Those of the device; none without one."""
+    return () if device is None else device.parameters()
 
 
 def options_from(overrides: Mapping[str, Any]) -> NodeOptions:

@@ -74,7 +74,7 @@ class Scenery:
         out = self._outputs
         if "mesh" in due:  # the wrench first: who takes a mesh then has the wrench of its step
             if out.heard("device_wrench_throttle"):
-                out.device(shown)
+                out.throttled(shown)
             if self._mesh_is_wanted():
                 out.mesh(shown)
         if "marker" in due:

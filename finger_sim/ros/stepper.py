@@ -37,6 +37,7 @@ class Stepper:
         self.rungs: tuple[Rung, ...] = ()
         self._followed: Callable[[], Command | None] | None = None
         self._outputs, self._log = outputs, log
+        self._let_go = False
 
     def prepare(self, progress: Callable[[str], None], meanwhile: Callable[[Compiled], None] | None = None) -> None:
         """Loads mesh and kernels; meanwhile: see Simulator. Raises FingerSimError."""
@@ -78,9 +79,14 @@ class Stepper:
     def tell(self, told: int) -> None:
         """Of a step: that commands stop, or are back; bits of sending.py."""
         if told & BECAME_STALE:
+            self._let_go = self.rendering.clutched
+        if told & BECAME_STALE and self._let_go:
+            self._log.info("the clutch is open: holding the pose, device_wrench is zero")
+        elif told & BECAME_STALE:
             self._log.warning(f"no command for {self.rendering.timeout:g} s: holding the pose, device_wrench is zero")
         elif told & BACK:
-            self._log.info("commands are back: device_wrench follows the contact again")
+            why = "the clutch is closed" if self._let_go else "commands are back"
+            self._log.info(f"{why}: device_wrench follows the contact again")
 
     def take_rung(self) -> None:
         """Solve as the rung that the budget stands on has it."""

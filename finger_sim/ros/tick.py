@@ -31,6 +31,8 @@ from ..physics.turns import matrix_entries
 from ..simulation import whole
 from ..simulation.whole import ASLEEP, DONE, FALLS_ASLEEP, FIRST, Body
 from .accounts import MOST_TRANSPORT, Counted, Recent, add, count
+from .device_bytes import CLUTCH, PASSED_OVER, POSITION, Inlet, take_in
+from .device_fill import Outlets, fill_outlets
 from .memory import bytes_at
 from .pose_bytes import LOOK, read_pose
 from .snapshot import Copied, hand_over, is_there, take_counted
@@ -60,8 +62,8 @@ _WAIT, _TAKE, _TAKEN, _STEP, _FILL, _SEND, _DONE = range(7)
 
 DEVICE, CONTACT, POSE = range(3)
 """Messages that are sent."""
-COMMAND, PLANE = range(2)
-"""Subscriptions."""
+COMMAND, PLANE, BESIDE = range(3)
+"""Subscriptions; from BESIDE on those of a device that tell more of its commands."""
 WORLD_ALIGNED, FINGER, WORLD = range(3)
 """Axes and point of reference of contact_wrench; see layout.express_wrench."""
 
@@ -101,7 +103,7 @@ class Heard(NamedTuple):
     fresh     : 1 where no step has followed the newest
     zero      : receipt of the command that placed the finger; times are counted from it; 0: none has
     commands  : that came, good or not
-    looked    : (2,) time of the last look at each subscription
+    looked    : (n,) time of the last look at each subscription
     frame     : bytes of the frame_id that poses must have
     at        : (7,) a pose that is being read
     which     : subscription whose message is to be looked at, and
@@ -130,7 +132,8 @@ class Sent(NamedTuple):
 
     device, contact : (6,) wrenches as they are sent
     axes    : of contact: WORLD_ALIGNED, FINGER or WORLD
-    topics  : (5,) numbers in the recording: device, contact, pose, commands, poses of the plane
+    limits  : (2,) of what a device is sent: force [N], torque [N m]
+    topics  : (6,) numbers in the recording: device, contact, pose, commands, poses of the plane, the clutch
     stamp   : of the step, by the wall clock
     failure : code of rcl, where it failed
     """
@@ -138,6 +141,7 @@ class Sent(NamedTuple):
     device: Floats
     contact: Floats
     axes: Ints
+    limits: Floats
     topics: Ints
     stamp: Ints
     failure: Ints
@@ -169,6 +173,8 @@ class Live(NamedTuple):
     purse: Purse
     incoming: Incoming
     outgoing: Outgoing
+    inlet: Inlet
+    outlets: Outlets
     recording: Recording
     counted: Counted
     step_time: Recent
@@ -225,8 +231,10 @@ def run(address: int, model: Model, state: State, live: Live) -> int:
             live.stage[0] = _DONE
             if live.by_hand[0] != 0:
                 return TO_SEND
-            for which in range(3):
-                _publish(live, which)
+            _publish(live, DEVICE)
+            _publish_due(live)
+            _publish(live, CONTACT)
+            _publish(live, POSE)
         _account(live)
         live.stage[0] = _WAIT
         if live.told[0] != 0:
@@ -262,7 +270,9 @@ def _wait(live: Live) -> None:
 def _take_all(live: Live) -> int:
     """All that came by the beginning of the step; TO_LOOK or UNHEARD where Python is needed, else 0."""
     heard, incoming, clock, begun = live.heard, live.incoming, live.clock, live.deadlines.begun[0]
-    for which in range(2):
+    inlet, count = live.inlet, incoming.subscriptions.shape[0]
+    for k in range(count):
+        which = (k + BESIDE) % count  # what tells more of commands comes before them
         received = heard.looked[which] + 1
         while True:
             size = take(incoming, which)
@@ -275,6 +285,15 @@ def _take_all(live: Live) -> int:
                 heard.failure[0] = -size
                 return UNHEARD
             data = bytes_at(incoming.messages[which, ADDRESS], incoming.messages[which, LENGTH])
+            if which >= BESIDE or (which == COMMAND and inlet.active[0] != 0):
+                told = _of_device(live, which, data)
+                if told < 0:
+                    heard.looked[which] = received
+                    return TO_LOOK
+                if told == 0:
+                    continue
+                data = inlet.message
+                size = data.shape[0]
             if which == COMMAND:
                 heard.commands[0] += 1
             stamp = read_pose(data, heard.frame, heard.at)
@@ -291,6 +310,24 @@ def _take_all(live: Live) -> int:
     return 0
 
 
+@stage
+def _of_device(live: Live, which: int, data: Bytes) -> int:
+    """Of a device's message: 1 where a command has come of it, 0 where all is done; negative: it is to be looked at."""
+    heard, inlet = live.heard, live.inlet
+    what = POSITION if which == COMMAND else inlet.roles[which - BESIDE]
+    told = take_in(inlet, what, data, heard.when[0], live.sending.rendered.timeout[0])
+    if told == PASSED_OVER:
+        return 0
+    if told < 0:
+        inlet.why[0] = told
+        if which == COMMAND:
+            heard.commands[0] += 1
+        return told
+    if what == CLUTCH and told == 1:
+        recording.put(live.recording, live.sent.topics[5], heard.when[0], inlet.button, inlet.button.shape[0])
+    return told if what == POSITION else 0
+
+
 @kernel
 def answer(live: Live, begun: int, stamp: int) -> None:
     """The next step begins now, for the newest command, and has that stamp."""
@@ -300,21 +337,36 @@ def answer(live: Live, begun: int, stamp: int) -> None:
 
 @kernel
 def let_go(live: Live, now: int, stamp: int) -> bool:
-    """Between answers: whether the last command has become too old; a message has no force for the device then.
+    """Between answers: whether the last command has become too old, or the clutch open; a message has no force then.
 
     It is sent, unless Python sends by hand.
     """
     heard, sent = live.heard, live.sent
     rendered, age = live.sending.rendered, 1e-9 * (now - heard.received[0])
-    if heard.received[0] == 0 or rendered.stale[0] != 0.0 or age <= rendered.timeout[0]:
+    old = age > rendered.timeout[0] or rendered.clutched[0] != 0.0
+    if heard.received[0] == 0 or rendered.stale[0] != 0.0 or not old:
         return False
     for i in range(6):
         sent.device[i] = 0.0
     _render(live, age, 0.0)
     _fill_one(live, DEVICE, sent.device, stamp, now)
+    _fill_due(live, stamp)
     if live.by_hand[0] == 0:
         _publish(live, DEVICE)
+        _publish_due(live)
     return True
+
+
+@kernel
+def silence(live: Live, stamp: int) -> None:
+    """The end: messages to a device have no force any more. They are sent by Python."""
+    sent, outlets = live.sent, live.outlets
+    for i in range(6):
+        sent.device[i] = 0.0
+    fill(live.outgoing, DEVICE, stamp, sent.device)
+    for k in range(outlets.due.shape[0]):
+        outlets.pushes[k] = 1
+    _fill_due(live, stamp)
 
 
 @kernel
@@ -369,6 +421,7 @@ def _fill(state: State, live: Live) -> None:
     _fill_one(live, DEVICE, device, stamp, begun)
     _fill_one(live, CONTACT, contact, stamp, begun)
     _fill_one(live, POSE, pose, stamp, begun)
+    _fill_due(live, stamp)
 
 
 @stage
@@ -388,6 +441,22 @@ def _fill_one(live: Live, which: int, numbers: Floats, stamp: int, at: int) -> N
     fill(live.outgoing, which, stamp, numbers)
     data = bytes_at(live.outgoing.messages[which, ADDRESS], live.outgoing.messages[which, LENGTH])
     recording.put(live.recording, sent.topics[which], at, data, data.shape[0])
+
+
+@stage
+def _fill_due(live: Live, stamp: int) -> None:
+    """Other messages to a device, of sent.device."""
+    if live.outlets.due.shape[0] > 0:
+        sent, rendered = live.sent, live.sending.rendered
+        sent.limits[0], sent.limits[1] = rendered.force_limit[0], rendered.torque_limit[0]
+        fill_outlets(live.outlets, live.outgoing, live.inlet, sent.device, sent.limits, live.body.dt[0], stamp)
+
+
+@stage
+def _publish_due(live: Live) -> None:
+    for k in range(live.outlets.due.shape[0]):
+        if live.outlets.due[k] != 0:
+            _publish(live, POSE + 1 + k)
 
 
 @stage
@@ -436,5 +505,5 @@ def _account(live: Live) -> None:
         add(live.transport, heard.transport[0])
 
 
-KERNELS = (run, hear, answer, let_go)
+KERNELS = (run, hear, answer, let_go, silence)
 """What a ticker calls."""

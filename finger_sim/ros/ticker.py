@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +16,6 @@ from ..errors import FingerSimError
 from ..haptics.budget import Purse, build_purse
 from ..haptics.path import numbers, pose_of
 from ..haptics.phase import no_phase
-from ..haptics.rendering import NO_WRENCH
 from ..physics.compile import compiling
 from ..physics.records import changed, direct, held
 from ..scene import Pose
@@ -70,7 +70,7 @@ class Ticker(Loop):
         self._loaded = self.resting = False
         self.resumed = 0.0
         self._wake = self._ask
-        self._endpoints = Endpoints(self._outputs.stepped(), self._inbox.subscriptions)
+        self._endpoints = Endpoints([*self._outputs.stepped(), *self._outputs.device.sent], self._inbox.subscriptions)
         self._said = ""
         self._held: Any = None
         self._no_purse, self._no_recording = build_purse(), no_recording()
@@ -90,7 +90,11 @@ class Ticker(Loop):
         self._loaded = True
 
     def release(self) -> None:
-        """Lets publishers and subscriptions go, once the thread has ended."""
+        """Takes force from the device, and lets publishers and subscriptions go; once the thread has ended."""
+        if self._held is not None and self._ready:
+            with contextlib.suppress(FingerSimError):
+                self._silence(self._held, time_of(self._clock))
+                self._send_to_device()
         self._endpoints.release()
 
     def shown(self, whole: bool) -> Shown | None:
@@ -159,8 +163,8 @@ class Ticker(Loop):
         """Until steps are wanted again, or the end. Commands that come meanwhile are passed over."""
         begun = time.monotonic_ns()
         self._stepper.rendering.silence()
-        self._outputs.stepped()[tick.DEVICE][1].fill(time_of(self._clock), NO_WRENCH.tobytes())
-        self._endpoints.send(tick.DEVICE)
+        self._silence(self._held, time_of(self._clock))
+        self._send_to_device()
         while self.resting and not self._stop.is_set():
             time.sleep(IDLE_PERIOD)
             self._take_commands(None)
@@ -185,7 +189,7 @@ class Ticker(Loop):
             self._answer_to(self._held, time.monotonic_ns(), command.stamp or time_of(self._clock))
         elif not self._inbox.wait(IDLE_PERIOD):
             if self._let_go(self._held, time.monotonic_ns(), time_of(self._clock)) and self._live.by_hand[0] != 0:
-                self._endpoints.send(tick.DEVICE)
+                self._send_to_device()
             self._tell()
 
     def _take(self) -> None:
@@ -201,8 +205,15 @@ class Ticker(Loop):
 
     def _send(self) -> None:
         """What the step brought, through rclpy."""
-        for which in range(len(self._outputs.stepped_topics)):
+        self._send_to_device()
+        for which in (tick.CONTACT, tick.POSE):
             self._endpoints.send(which)
+
+    def _send_to_device(self) -> None:
+        """What was filled in for it, through rclpy."""
+        self._endpoints.send(tick.DEVICE)
+        for k in np.flatnonzero(self._outputs.device.record.due).tolist():
+            self._endpoints.send(tick.POSE + 1 + k)
 
     def _make(self, compiled: Compiled) -> None:
         """The parts of what compiled code works on that are its own."""
@@ -211,11 +222,13 @@ class Ticker(Loop):
         self._shown, self.reported = Snapshot(state), Snapshot(state)
         self._heard = Heard(
             newest=np.zeros(7), received=_one(), stamp=_one(), transport=np.zeros(1), before=np.zeros(7), fresh=_one(),
-            zero=_one(), commands=_one(), looked=np.full(2, time.monotonic_ns()),
+            zero=_one(), commands=_one(), looked=np.full(len(self._inbox.subscriptions), time.monotonic_ns()),
             frame=frame_bytes(options.world_frame), at=np.zeros(7), which=_one(), when=_one(), failure=_one(),
         )  # fmt: skip
         axes = {"world_aligned": tick.WORLD_ALIGNED, "finger": tick.FINGER, "world": tick.WORLD}[options.wrench_frame]
-        self._sent = Sent(np.zeros(6), np.zeros(6), np.array([axes]), np.zeros(5, np.int64), _one(), _one())
+        self._sent = Sent(
+            np.zeros(6), np.zeros(6), np.array([axes]), np.zeros(2), np.zeros(6, np.int64), _one(), _one()
+        )  # fmt: skip
         self._by_hand, answers = _one(), np.array([self._triggers is not None], np.int64)
         self._flow, self._counted = (_one(), _one(), _one(), _one(), self._by_hand, answers), nothing_counted()
 
@@ -250,7 +263,8 @@ class Ticker(Loop):
         if self._arranged and all(a is b for a, b in zip(self._arranged, (recording, compiled, purse), strict=True)):
             return
         if recorder is not None:
-            self._sent.topics[:] = [recorder.number(name) for name in (*outputs.stepped_topics, *self._inbox.topics)]
+            topics = [recorder.number(name) for name in (*outputs.stepped_topics, *self._inbox.topics)]
+            self._sent.topics[: len(topics)] = topics
         self._bind(compiled, self._parts(compiled, recording, purse))
         self._arranged = (recording, compiled, purse)
 
@@ -258,9 +272,9 @@ class Ticker(Loop):
         incoming, outgoing, stepper = self._endpoints.incoming, self._endpoints.outgoing, self._stepper
         return Live(
             *self._flow, incoming.clock, self._grid, self._phase, self._heard, self._sent, compiled.body,
-            stepper.sender.record, purse or self._no_purse, incoming, outgoing, recording or self._no_recording,
-            self._counted, self.step_time, self.lateness, stepper.delay, stepper.transport, self._shown.record,
-            self.reported.record,
+            stepper.sender.record, purse or self._no_purse, incoming, outgoing, self._inbox.device.record,
+            self._outputs.device.record, recording or self._no_recording, self._counted, self.step_time, self.lateness,
+            stepper.delay, stepper.transport, self._shown.record, self.reported.record,
         )  # fmt: skip
 
     def _bind(self, compiled: Compiled, live: Live) -> None:
@@ -272,11 +286,14 @@ class Ticker(Loop):
             self._hear = direct(tick.hear, self._held, types.int64, types.int64, types.float64)
             self._answer_to = direct(tick.answer, self._held, types.int64, types.int64)
             self._let_go = direct(tick.let_go, self._held, types.int64, types.int64)
+            self._silence = direct(tick.silence, self._held, types.int64)
 
     def _look(self) -> None:
         """A message that is not the usual one."""
         which, received = int(self._heard.which[0]), int(self._heard.when[0])
-        self._judge(which, self._endpoints.taken(which).data, received)
+        if not self._inbox.explain(which):
+            made = which == tick.COMMAND and self._inbox.device.active
+            self._judge(which, self._inbox.device.command if made else self._endpoints.taken(which).data, received)
 
     def _judge(self, which: int, data: bytes, received: int) -> None:
         if which == tick.COMMAND:
@@ -306,7 +323,10 @@ class Ticker(Loop):
         which, failure = int(self._heard.which[0]), int(self._heard.failure[0])
         if failure != -UNFIT:
             raise FingerSimError(f"what comes in cannot be taken: {meaning(failure)}")
-        self._judge(which, self._endpoints.taken(which).data, time.monotonic_ns())
+        received = time.monotonic_ns()
+        data = self._inbox.arrived(which, self._endpoints.taken(which).data, received)
+        if data is not None:
+            self._judge(which, data, received)
         self._arrange()
 
     def _place(self) -> None:

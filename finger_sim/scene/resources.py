@@ -1,4 +1,4 @@
-"""Scenes, bags and meshes by name: a file of the user's first, if it can be what is meant, then what ships.
+"""Scenes, devices, bags and meshes by name: a file of the user's first, if it can be what is meant, then what ships.
 
 What ships lies in the package, and in a checkout beside it.
 """
@@ -28,13 +28,14 @@ def shipped(kind: str) -> Path:
 
 
 def shipped_names() -> dict[str, list[str]]:
-    """Names of all that ships, by kind: "scenes", "bags" and "meshes"."""
+    """Names of all that ships, by kind: "scenes", "bags", "meshes" and "devices"."""
     config, bags = shipped("config"), shipped("bags")
     presets = [f"presets/{path.stem}" for path in config.glob("presets/*.yaml") if path.stem not in CLAIMS]
     return {
         "scenes": sorted(path.stem for path in config.glob("*.yaml")) + sorted(presets),
         "bags": sorted(path.parent.name for path in bags.glob("*/metadata.yaml")),
         "meshes": sorted(path.name for path in config.glob(f"meshes/*{MESH}")),
+        "devices": sorted(path.stem for path in config.glob("devices/*.yaml")),
     }
 
 
@@ -72,6 +73,16 @@ def find_scene(name: str | Path) -> Path:
     if found is None:
         names = ", ".join(shipped_names()["scenes"])
         raise SceneError("scene", str(name), f"an existing YAML file, or a shipped scene: {names}")
+    return found
+
+
+def find_device(name: str | Path) -> Path:
+    """A YAML file at a path, or a shipped device by its name ("haply_inverse3"). Raises SceneError if it is neither."""
+    folder = shipped("config") / "devices"
+    found = _first((Path(name), folder / name, folder / f"{name}.yaml"), lambda path: path.suffix in SCENES)
+    if found is None:
+        names = ", ".join(shipped_names()["devices"])
+        raise SceneError("device", str(name), f"an existing YAML file, or a shipped device: {names}")
     return found
 
 

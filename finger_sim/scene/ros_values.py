@@ -19,7 +19,8 @@ ARRAY_KINDS = ("vec3", "quaternion", "limit3")
 def to_ros(value: Any, spec: Field) -> Any:
     """The value of a ROS parameter for a field's value."""
     if value is None:
-        return "" if spec.kind in ("text", "choice") else [math.inf] * 3 if spec.kind in ARRAY_KINDS else math.inf
+        count = {"quaternion": 4}.get(spec.kind, 3)
+        return "" if spec.kind in ("text", "choice") else [math.inf] * count if spec.kind in ARRAY_KINDS else math.inf
     if spec.kind == "parts":
         return yaml.safe_dump([to_dict(item) for item in value], default_flow_style=True, sort_keys=False).strip()
     if hasattr(value, "as_plain"):
@@ -32,7 +33,7 @@ def to_ros(value: Any, spec: Field) -> Any:
 def from_ros(value: Any, spec: Field) -> Any:
     """The plain value for `Scene` of a ROS parameter's value; `Field.parse` judges it."""
     value = plain(value)
-    if spec.optional and value in ("", math.inf):
+    if spec.optional and (value in ("", math.inf) or (isinstance(value, list) and set(value) == {math.inf})):
         return None
     if spec.kind == "limit3" and isinstance(value, list | tuple):
         return [None if item == math.inf else item for item in value]

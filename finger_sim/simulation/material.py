@@ -26,9 +26,11 @@ class Material:
     """A bag to be simulated, read once from end to end: a mistake shows before kernels compile.
 
     scene   : what is simulated; None: what the bag was made with, as it was when the first command came, with the
-              node's parameters and all that was changed live. With a scene given, only resets are taken of these
+              node's parameters and all that was changed live. With a scene given, of these only resets and the clutch
+              are taken
     options : the node's parameters by name, plain values, at the first step; where a scene is given, DEFAULTS
     changes : what is changed from then on, in order
+    clutched : whether the clutch of a device is open at the first step
 
     Raises BagError for a bag that cannot be read, for a selection of what is not in it, and where the scene or the mesh
     that it was made with cannot be had.
@@ -104,13 +106,14 @@ class Material:
         before = [change for change in changes if change.time <= self.start]
         later = [change for change in changes if change.time > self.start]
         self._before = before
+        self.clutched = next((each.clutch for each in reversed(before) if each.clutch is not None), False)
         if self.as_recorded:
             self.scene = changed(self.scene, before)
             for change in before:
                 self.options.update((name, value) for name, value in change.options.items() if name in RENDERING)
             self.changes = later
         else:
-            self.changes = [change for change in later if change.reset]
+            self.changes = [change for change in later if change.reset or change.clutch is not None]
         self.left_out = len(later) - len(self.changes)
         """Live changes that are not followed, as a scene was given."""
 

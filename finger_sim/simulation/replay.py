@@ -77,7 +77,7 @@ class Replay(Material):
         copies = [Copies(self.commands, recording, "command_pose")]
         if self.plane is not None:
             copies.append(Copies(self.plane, recording, "plane_pose"))
-        changes = Changes(self.changes, recording)
+        changes = Changes(self.changes, recording, self.clutched)
         plane = Arrivals(self.plane.poses() if self.plane is not None and self.scene.plane is not None else iter(()))
         costs, rendering = Costs(), Rendering(*(self.options[name] for name in RENDERING))
         newest: Received | None = None
@@ -91,6 +91,7 @@ class Replay(Material):
             for name, value in changes.up_to(self.start + moment.begin, simulator).items():
                 if name in RENDERING:
                     setattr(rendering, RENDERING[name], value)
+            rendering.clutched = changes.clutched
             places, commands = plane.up_to(self.start + moment.begin), moment.commands
             if newest is None:
                 commands = commands[-1:]
@@ -145,7 +146,8 @@ class Replay(Material):
             summary.plane_refused = plane.refused + plane.good - summary.plane_poses
             summary.plane_refusal = plane.refusal
         summary.resets = sum(change.reset for change in self.changes)
-        summary.live_changes, summary.left_out = len(self.changes) - summary.resets, self.left_out
+        clutched = sum(change.clutch is not None for change in self.changes)
+        summary.live_changes, summary.left_out = len(self.changes) - summary.resets - clutched, self.left_out
         summary.as_recorded = self.as_recorded
         if self.origin is not None:
             summary.differences = list(differences(origin, after(self.origin, self._before)))

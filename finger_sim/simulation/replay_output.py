@@ -44,13 +44,17 @@ class Copies:
 
 
 class Changes:
-    """Makes the live changes of a recording in step with the simulation, and copies them."""
+    """Makes the live changes of a recording in step with the simulation, and copies them.
 
-    def __init__(self, changes: Sequence[Change], recording: BagWriter) -> None:
+    clutched : whether the clutch is open now
+    """
+
+    def __init__(self, changes: Sequence[Change], recording: BagWriter, clutched: bool) -> None:
+        self.clutched = clutched
         self._waiting = deque(changes)
         self._recording = recording
         for change in changes:
-            qos = RESET_QOS if change.reset else EVENTS_QOS
+            qos = EVENTS_QOS if change.clutch is None and not change.reset else RESET_QOS
             recording.add_topic(change.message.topic, change.message.type, qos=qos)
 
     def up_to(self, log_time: int, simulator: Simulator) -> dict[str, Any]:
@@ -63,6 +67,8 @@ class Changes:
             if change.reset:
                 simulator.reset()
             options.update(change.options)
+            if change.clutch is not None:
+                self.clutched = change.clutch
             message = change.message
             number = message.sequence or None
             self._recording.write(message.topic, message.data, change.time, message.publish_time, sequence=number)

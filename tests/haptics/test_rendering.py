@@ -23,6 +23,21 @@ def test_it_comes_in_on_a_ramp_and_anew_after_a_pause() -> None:
         assert not device.render(FORCE, Coupling(), MS).any()
 
 
+def test_an_open_clutch_takes_it_and_it_comes_in_anew() -> None:
+    """At once, however recent the command is."""
+    device = Rendering(ramp=0.1, timeout=0.1)
+    device.clutched = False
+    device.watch(age=0.0)
+    full = [device.render(FORCE, Coupling(), MS)[2] for _ in range(150)][-1]
+    device.clutched = True
+    assert not device.watch(age=0.0)
+    assert not device.render(FORCE, Coupling(), MS).any()
+    device.clutched = False
+    assert device.watch(age=0.0)
+    assert full == pytest.approx(4.0)
+    assert device.render(FORCE, Coupling(), MS)[2] == pytest.approx(0.04)
+
+
 def test_the_clamps_hold_after_the_scale_too() -> None:
     device = Rendering(scale=5.0, ramp=0.0)
     assert device.render(FORCE, Coupling(), MS) == pytest.approx([0.0, 0.0, 10.0, 0.0, 0.5, 0.0])

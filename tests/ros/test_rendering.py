@@ -16,6 +16,8 @@ from small_fingers import small
 
 from finger_sim import Pose
 from finger_sim.ros import tick
+from finger_sim.ros.device_in import DeviceIn
+from finger_sim.ros.device_out import DeviceOut
 from finger_sim.ros.inbox import Command
 from finger_sim.ros.loop import Triggers
 from finger_sim.ros.messages import pose_template, wrench_template
@@ -47,13 +49,14 @@ def ticker(monkeypatch: pytest.MonkeyPatch, commands: list[Command]) -> tuple[Ti
     templates = (wrench_template("a"), wrench_template("b"), pose_template("world"))
     outputs: Any = SimpleNamespace(
         options=NodeOptions(), recorder=None, stepped_topics=["/t"] * 3, prepare=lambda mesh: None,
-        stepped=lambda: list(zip(published, templates, strict=True)),
+        stepped=lambda: list(zip(published, templates, strict=True)), device=DeviceOut(None, None, {}, None),
     )  # fmt: skip
-    inbox: Any = SimpleNamespace(
-        subscriptions=(None, None), topics=("/c", "/p"), early=threading.Lock(), wait=lambda _: False, wake=lambda: None
-    )
     scene = small("finger_coupled")
     node = Stepper(scene, outputs, log)
+    inbox: Any = SimpleNamespace(
+        subscriptions=(None, None), topics=("/c", "/p"), early=threading.Lock(), wait=lambda _: False,
+        wake=lambda: None, device=DeviceIn(None, "world", node.rendering.record.clutched),
+    )  # fmt: skip
     take = lambda now: [commands.pop(0) for _ in range(len(commands))]  # noqa: E731
     loop = Ticker(scene.dt, lambda: None, (node, outputs, inbox), take, Triggers[Command](10), clock, log)
     node.prepare(lambda _: None, loop.compile)
