@@ -47,6 +47,8 @@ class Stand:
     """A driver: what it sends for a handle that presses the block `depth` into the plane, and where it hears forces."""
 
     more: tuple[str, ...] = ()
+    limit = 10.0
+    """Of its force [N]: that of the scene, or less."""
 
     def send(self, client, depth):
         raise NotImplementedError
@@ -80,9 +82,9 @@ class RosForceDimension(Stand):
 
 
 class ForceCommand(Stand):
-    """OpenHaptics' axes: y is up."""
+    """OpenHaptics' axes: y is up; a Touch gives 3.3 N."""
 
-    more = LEVEL
+    more, limit = LEVEL, 3.3
     topic, kind, up = "/touch/force_command", WrenchStamped, (0.0, 1.0, 0.0)
 
     def send(self, client, depth):
@@ -143,9 +145,9 @@ def arguments(folder, device, *more):
 
 
 class Pressed:
-    """What is heard of a node whose driver presses: its force points up along the driver's axes, as device_wrench does.
+    """What is heard of a node whose driver presses.
 
-    The finger is then where the handle commands it.
+    The finger is where the handle commands it. The force points up along its axes, as device_wrench does.
     """
 
     def __init__(self, client, stand) -> None:
@@ -162,7 +164,12 @@ class Pressed:
         if stand.topic:
             client.until(lambda: self.forces and np.linalg.norm(self.force) > 0.01, press)
             assert self.force @ stand.up > 0.9 * np.linalg.norm(self.force)
-            client.until(lambda: abs(self.force @ stand.up - self.wrenches[-1].wrench.force.z) < 1e-3, press)
+            client.until(lambda: abs(np.linalg.norm(self.force) - min(self.rendered, stand.limit)) < 1e-3, press)
+
+    @property
+    def rendered(self) -> float:
+        """Size of the last device_wrench's force [N]."""
+        return float(np.linalg.norm(xyz(self.wrenches[-1].wrench.force)))
 
     @property
     def force(self):
