@@ -22,7 +22,8 @@ UNKNOWN_KEY = "no such key"
 class Field:
     """What one key may hold. `low` and `high` are inclusive; `live` may change while running.
 
-    Of a list of blocks (`parts`), `high` is how many there may be.
+    Of a list of blocks (`parts`), `high` is how many there may be. `quiet`: not written out at its default, so that a
+    scene that does not have it is written as it was before there was such a key.
     """
 
     kind: Kind
@@ -33,6 +34,7 @@ class Field:
     choices: tuple[str, ...] = ()
     optional: bool = False
     live: bool = False
+    quiet: bool = False
     part: type | None = None
 
     @property
@@ -179,14 +181,17 @@ def parse_part(cls: type[T], data: Any, key: str = "") -> T:
 def to_dict(part: Any) -> dict[str, Any]:
     """Plain dict of a part, blocks that are absent left out; `parse_part` gives the part back."""
     out: dict[str, Any] = {}
-    for name, spec in specs(type(part)).items():
-        value = getattr(part, name)
+    for f in dataclasses.fields(part):
+        if "spec" not in f.metadata:
+            continue
+        name, spec, value = f.name, f.metadata["spec"], getattr(part, f.name)
+        if spec.quiet and value == f.default:
+            continue
         if spec.kind == "part":
             if value is not None:
                 out[name] = to_dict(value)
         elif spec.kind == "parts":
-            if value:
-                out[name] = [to_dict(item) for item in value]
+            out[name] = [to_dict(item) for item in value]
         elif hasattr(value, "as_plain"):
             out[name] = value.as_plain()
         elif isinstance(value, tuple):

@@ -87,6 +87,7 @@ class Material:
         default=(),
         low=0,
         high=8,
+        quiet=True,
         part=Relaxation,
     )
     relaxes: Literal["deviator", "stress"] = field(
@@ -94,6 +95,7 @@ class Material:
         "What `relaxation` has shares of: the stress without its pressure, as where volume is kept; or all of it",
         default="deviator",
         choices=("deviator", "stress"),
+        quiet=True,
     )
 
     def check(self, prefix: str) -> None:

@@ -249,6 +249,13 @@ def test_the_relaxing_finger_becomes_the_everyday_one() -> None:
     assert [term.time for term in soft.material.relaxation] == [0.004, 0.07, 1.4]
 
 
+def test_a_scene_that_does_not_relax_is_written_as_before() -> None:
+    """Neither key is there: what is kept by a scene's values, as errors of presets, stays known."""
+    written = Scene.from_dict({"mesh": {"beam": {}}}).to_dict()["material"]
+    assert set(written) == {"density", "young", "poisson", "damping", "volumetric"}
+    assert Scene.from_dict({"mesh": {"beam": {}}, "material": {"relaxes": "stress"}}).to_dict()["material"]["relaxes"]
+
+
 def test_whole_numbers_are_whole() -> None:
     """2.5 sweeps or substeps are refused, 2.0 is two."""
     for key in (k for k, s in KEYS.items() if s.kind == "int" and s.high > 1):
