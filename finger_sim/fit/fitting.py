@@ -141,7 +141,7 @@ def fit(options: Options, runner: Runner, tell: Tell) -> Fit:
     """The whole of it. tell: takes a line on each stage. Raises FitError, SceneError, MeshError, BagError."""
     scene, presses, notes = read(options)
     unknowns = asked(options, scene, presses)
-    wanted, in_time = options.target is not None, options.in_time or needs_time(unknowns)
+    wanted, in_time = options.target is not None, options.in_time or needs_time(scene, unknowns)
     model = Model(scene, tuple(unknowns), tuple(presses), in_time, wanted=wanted, floor=options.floor)
     count = len(unknowns)
     runner.foreseen = len(presses) * (options.starts + (REFINED * 5 + 4) * (count + 1) + 16 * count + 16)
