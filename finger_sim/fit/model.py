@@ -133,7 +133,7 @@ class Model:
 def needs_time(scene: Scene, unknowns: Sequence[Unknown]) -> bool:
     """Whether presses are to be followed in time: for an unknown that shows only so, and for limits that do not rest.
 
-    Limits on principal stretches (all projections but `tensor`) give other forces in long steps than in the scene's own.
+    Limits on principal stretches (all projections but `tensor`) give other forces in long steps than in short ones.
     """
     restless = scene.limits is not None and scene.limits.projection != "tensor"
     return restless or any(one.name in TIMED for one in unknowns)
