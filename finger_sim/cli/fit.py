@@ -58,7 +58,11 @@ def add_fit(verbs: Any) -> None:
         metavar="N",
         help="error of weak forces [N] (default: 0.4 %% of the largest)",
     )
-    add("--in-time", action="store_true", help="follow presses in time, not at rest: slower (always with damping)")
+    add(
+        "--in-time",
+        action="store_true",
+        help="follow presses in time, not at rest: slower (always with damping, and with limits other than tensor)",
+    )
     add(
         "--carry",
         action="append",

@@ -141,7 +141,7 @@ def fit(options: Options, runner: Runner, tell: Tell) -> Fit:
     """The whole of it. tell: takes a line on each stage. Raises FitError, SceneError, MeshError, BagError."""
     scene, presses, notes = read(options)
     unknowns = asked(options, scene, presses)
-    wanted, in_time = options.target is not None, options.in_time or needs_time(unknowns)
+    wanted, in_time = options.target is not None, options.in_time or needs_time(scene, unknowns)
     model = Model(scene, tuple(unknowns), tuple(presses), in_time, wanted=wanted, floor=options.floor)
     count = len(unknowns)
     runner.foreseen = len(presses) * (options.starts + (REFINED * 5 + 4) * (count + 1) + 16 * count + 16)
@@ -168,8 +168,10 @@ def fit(options: Options, runner: Runner, tell: Tell) -> Fit:
     foretold = left_out(model, runner, near)
     found = scene.with_values(changes(model.unknowns, scene, solution.theta))
     curves = model.curves(runner, [solution.theta])[0]
-    tell("as the scene runs, in time")
-    runs = None if wanted else as_it_runs(model, runner, solution.theta, found, curves)
+    runs = None
+    if not wanted:
+        tell("as the scene runs, in time")
+        runs = as_it_runs(model, runner, solution.theta, found, curves)
     intervals = _widened(model, runner, near, intervals, runs)
     estimates = _estimates(unknowns, model, near, intervals, resampled, lost)
     others = []
@@ -316,7 +318,9 @@ def _estimates(
         j = fitted[one.name]
         interval = intervals[j]
         why = ""
-        if interval.low_open or interval.high_open:
+        if interval.low_open and interval.high_open:
+            why = "data do not bound it"
+        elif interval.low_open or interval.high_open:
             low = interval.low_open != (one.kind == "compress")
             why = f"data do not bound it {'below' if low else 'above'}"
         theta = float(near.solution.theta[j])

@@ -130,9 +130,13 @@ class Model:
         return sum(one.amount(each) for one, each in zip(self.unknowns, theta, strict=True) if one.press == press)
 
 
-def needs_time(unknowns: Sequence[Unknown]) -> bool:
-    """Whether any of them shows only in time."""
-    return any(one.name in TIMED for one in unknowns)
+def needs_time(scene: Scene, unknowns: Sequence[Unknown]) -> bool:
+    """Whether presses are to be followed in time: for an unknown that shows only so, and for limits that do not rest.
+
+    Limits on principal stretches (all projections but `tensor`) give other forces in long steps than in short ones.
+    """
+    restless = scene.limits is not None and scene.limits.projection != "tensor"
+    return restless or any(one.name in TIMED for one in unknowns)
 
 
 def curve(press: Press, way: Way, run: Run, scale: float) -> Curve:

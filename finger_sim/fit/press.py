@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from ..arrays import Floats, Ints
 from ..errors import FingerSimError
@@ -181,14 +182,17 @@ def _walk(poses: list[Floats], to: Floats, part: float) -> None:
 
 
 def timed_path(press: Press, dt: float, shift: float = 0.0) -> Path:
-    """The way of a press in time, one command for each step of dt [s]; shift: see `at_rest_path`."""
+    """The way of a press in time, one command for each step of dt [s], smooth between samples.
+
+    shift: see `at_rest_path`
+    """
     used = touching(press)
     t = press.time[used] - press.time[used[0]]
     at = np.concatenate([press.position[used], press.orientation[used]], axis=1)
     at[:, 2] -= shift
     ahead = math.ceil(0.1 / dt)  # the way down to the first sample takes a tenth of a second
     clock = dt * np.arange(math.ceil(t[-1] / dt) + 1)
-    poses = np.stack([np.interp(clock, t, column) for column in at.T], axis=1)
+    poses = PchipInterpolator(t, at)(np.minimum(clock, t[-1]))
     above = poses[0].copy()
     above[2] = max(press.touch, above[2]) + AHEAD
     lead = above + (poses[0] - above) * np.linspace(0.0, 1.0, ahead, endpoint=False)[:, None]

@@ -10,7 +10,7 @@ import pytest
 from cases import for_each
 from fit.block import LEVEL, block
 
-from finger_sim.fit.model import Residuals, curve
+from finger_sim.fit.model import Residuals, curve, needs_time
 from finger_sim.fit.parameters import Unknown, changes, default_names, unknowns_of
 from finger_sim.fit.press import FitError, Press, at_rest_path, timed_path
 from finger_sim.fit.simulate import Run
@@ -92,6 +92,15 @@ def test_what_cannot_be_fitted_is_named(names, bounds, priors, words):
     with pytest.raises(FitError) as error:
         unknowns_of(block(), names, ["a"], bounds, priors)
     assert words in str(error.value)
+
+
+def test_what_rests_and_what_is_followed_in_time():
+    """Damping shows only in time; limits other than `tensor` give other forces in long steps."""
+    young, damping = (unknowns_of(block(), [name], []) for name in ("young", "damping"))
+    assert not needs_time(block(), young)
+    assert not needs_time(block(limits=None), young)
+    assert needs_time(block(), damping)
+    assert needs_time(block(limits__projection="hyperbolic"), young)
 
 
 def test_free_axes_and_missing_blocks_are_named():
