@@ -358,7 +358,7 @@ def test_without_any_folder_kernels_are_compiled_and_not_kept(
 
 def test_what_is_told_to_compile_is_all_that_a_start_compiles() -> None:
     """Every function of physics/ is counted, but for two: one is done by then, one is for users to call."""
-    paper: Any = SimpleNamespace(method=PGS, projection=ISOTROPIC)
+    paper: Any = SimpleNamespace(method=PGS, projection=ISOTROPIC, relaxation=(1.0,))
     counted = progress.called(kernel.py_func for kernel in (*kernels(paper), *GROUND, *STEP))
     known = {
         function
