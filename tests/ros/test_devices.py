@@ -27,6 +27,8 @@ from finger_sim.simulation import replay
 LEVEL = ("-p", "command_input.orientation:=[0.0, 0.0, 0.0, 1.0]")
 """The block is not laid on its side, as a finger is."""
 DEPTH = 0.0005
+LIKE_IT = ("force_dimension", "geomagic_force_command", "moveit_servo")
+"""Drivers that are tried as one other is."""
 MISSING = {"geomagic_touch": "omni_msgs/msg/OmniFeedback", "geomagic_touch_x": "tf2_msgs/msg/TFMessage"}
 
 
@@ -181,7 +183,9 @@ def test_all_that_ships_is_tried() -> None:
     assert {*STANDS, *MISSING} == set(shipped_names()["devices"])
 
 
-@pytest.mark.parametrize("device", ["force_dimension", "geomagic_force_command", "haply_inverse3", "moveit_servo"])
+@pytest.mark.parametrize(
+    "device", ["haply_inverse3", *(pytest.param(name, marks=pytest.mark.slow) for name in LIKE_IT)]
+)
 def test_a_driver_moves_the_finger_and_gets_its_force(tmp_path, device) -> None:
     """And none after the press, and none when poses stop. Other drivers are in the tests below."""
     stand = STANDS[device]()
@@ -266,7 +270,7 @@ def test_the_clutch_takes_force_and_holds_and_is_replayed(tmp_path) -> None:
     assert [m.data[4] for m in BagReader(bag).messages(["/finger/clutch"])] == [0, 1, 0]
 
 
-@pytest.mark.parametrize("way", ["by hand", "triggered"])
+@pytest.mark.parametrize("way", ["by hand", pytest.param("triggered", marks=pytest.mark.slow)])
 def test_the_same_through_rclpy_and_in_mode_triggered(tmp_path, way) -> None:
     """Force, clutch and time-out; in mode triggered an open clutch takes force without waiting for a command."""
     stand = Haply()
