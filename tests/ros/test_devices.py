@@ -27,7 +27,7 @@ from finger_sim.simulation import replay
 LEVEL = ("-p", "command_input.orientation:=[0.0, 0.0, 0.0, 1.0]")
 """The block is not laid on its side, as a finger is."""
 DEPTH = 0.0005
-LIKE_IT = ("force_dimension", "geomagic_force_command", "moveit_servo")
+ALIKE = ("force_dimension", "geomagic_force_command", "moveit_servo")
 """Drivers that are tried as one other is."""
 MISSING = {"geomagic_touch": "omni_msgs/msg/OmniFeedback", "geomagic_touch_x": "tf2_msgs/msg/TFMessage"}
 
@@ -184,7 +184,7 @@ def test_all_that_ships_is_tried() -> None:
 
 
 @pytest.mark.parametrize(
-    "device", ["haply_inverse3", *(pytest.param(name, marks=pytest.mark.slow) for name in LIKE_IT)]
+    "device", ["haply_inverse3", *(pytest.param(name, marks=pytest.mark.slow) for name in ALIKE)]
 )
 def test_a_driver_moves_the_finger_and_gets_its_force(tmp_path, device) -> None:
     """And none after the press, and none when poses stop. Other drivers are in the tests below."""
