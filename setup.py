@@ -45,7 +45,7 @@ setup(
     package_dir=DATA,
     package_data={
         "finger_sim.view": ["bundle/*"],
-        "finger_sim.data.config": ["*.yaml", "presets/*", "meshes/*"],
+        "finger_sim.data.config": ["*.yaml", "devices/*", "meshes/*", "presets/*"],
         "finger_sim.data.bags": ["*/*"],
     },
     data_files=list(shared()),
