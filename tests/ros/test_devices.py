@@ -183,9 +183,7 @@ def test_all_that_ships_is_tried() -> None:
     assert {*STANDS, *MISSING} == set(shipped_names()["devices"])
 
 
-@pytest.mark.parametrize(
-    "device", ["haply_inverse3", *(pytest.param(name, marks=pytest.mark.slow) for name in ALIKE)]
-)
+@pytest.mark.parametrize("device", ["haply_inverse3", *(pytest.param(name, marks=pytest.mark.slow) for name in ALIKE)])
 def test_a_driver_moves_the_finger_and_gets_its_force(tmp_path, device) -> None:
     """And none after the press, and none when poses stop. Other drivers are in the tests below."""
     stand = STANDS[device]()

@@ -332,7 +332,7 @@ NUMBERS = {
         "swing_strain_over_limit_max": (1.18, 0.05),
         "tip.frequency_hz": (0.71, 0.02),
         "length.frequency_hz": (0.71, 0.02),
-        "length.decay_per_s": (0.057, 0.02),
+        "length.decay_per_s": (0.03, 0.02),
         "length.late_amplitude": (0.54, 0.04),
     },
     HELD: {
