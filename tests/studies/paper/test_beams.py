@@ -333,7 +333,7 @@ NUMBERS = {
         "tip.frequency_hz": (0.71, 0.02),
         "length.frequency_hz": (0.71, 0.02),
         "length.decay_per_s": (0.03, 0.02),
-        "length.late_amplitude": (0.54, 0.04),
+        "length.late_amplitude": (0.63, 0.04),
     },
     HELD: {
         "rest_tip_deflection_m": (0.2112, 0.001),
