@@ -40,12 +40,20 @@ def test_every_mark_stands_before_a_block(path: Path) -> None:
     assert len(blocks(path)) == marks(path)
 
 
+IN_ALL_RUNS = ("README.md", "CONTRIBUTING.md", "api.md")
+"""Pages whose blocks run in every run of the tests; those of others in the slow one."""
+
+
 def test_pages_have_blocks_that_run() -> None:
     """The marks are found at all."""
     assert len(pages(slow=False)) >= 5
 
 
-@pytest.mark.parametrize("path", pages(slow=False), ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=[] if path.name in IN_ALL_RUNS else pytest.mark.slow) for path in pages(slow=False)],
+    ids=lambda path: path.name,
+)
 def test_commands_run(path: Path, checkout: Path) -> None:
     """Those of a page one after the other: later ones may use what earlier ones made."""
     for block in blocks(path):

@@ -51,7 +51,8 @@ def wrenches(bag: Path, topic: str) -> tuple[np.ndarray, np.ndarray]:
     return np.array([time for time, _ in rows]), np.array(values)
 
 
-@pytest.mark.parametrize(("seconds", "priority"), [(3.0, 0), pytest.param(20.0, 20, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("seconds", "priority"), [(3.0, 0), (20.0, 20)])
 def test_live_follows_offline(tmp_path: Path, seconds: float, priority: int) -> None:
     """Whatever the machine held: the recorded steps, computed again, are the live ones to the last bit.
 

@@ -293,6 +293,7 @@ def test_a_page_that_only_watches(others, tmp_path: Path) -> None:
         assert not any(each.get("message") == "of another" for each in page.said)
 
 
+@pytest.mark.slow
 def test_a_node_of_somebody_else(others, tmp_path: Path) -> None:
     """It is shown, driven; when it ends the page says so, and comes back with the next one."""
     with others.viewer(tmp_path) as viewer, Page(viewer.port) as page:

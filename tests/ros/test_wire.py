@@ -178,6 +178,7 @@ def test_a_signal_ends_a_sleep(clock):
         signal.signal(signal.SIGUSR1, before)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="is what this runs")
 def test_uncompiled_too():
     """NUMBA_DISABLE_JIT=1: the tests of this file and of poses pass with the same functions as plain Python."""

@@ -409,6 +409,7 @@ def cluster():
         yield made
 
 
+@pytest.mark.slow
 def test_a_study_from_start_to_finish_and_again(block, cluster, capsys, monkeypatch):
     """A row for each point, errors that fall with the time step, pictures; a second time nothing is run again."""
     pytest.importorskip("matplotlib")
