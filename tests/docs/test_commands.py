@@ -16,7 +16,8 @@ from processes import REPOSITORY
 
 TIMEOUT = 300.0
 """How long a block may take [s]: a few seconds, but for the first one that compiles kernels on a busy machine."""
-pytestmark = pytest.mark.timeout(2 * TIMEOUT)
+SLOW_TIMEOUT = 1500.0
+"""The same of a slow one: minutes, and more where two others have the processors."""
 TEXTS = [*ROOT_TEXTS, *PAGES]
 IN_CHECKOUT = ("examples", "benchmarks", "tests", "config", "pyproject.toml")
 """What commands name from the root of the checkout. Not the package, which would be imported without its data."""
@@ -49,6 +50,7 @@ def test_pages_have_blocks_that_run() -> None:
     assert len(pages(slow=False)) >= 5
 
 
+@pytest.mark.timeout(2 * TIMEOUT)
 @pytest.mark.parametrize(
     "path",
     [pytest.param(path, marks=[] if path.name in IN_ALL_RUNS else pytest.mark.slow) for path in pages(slow=False)],
@@ -62,6 +64,7 @@ def test_commands_run(path: Path, checkout: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3 * SLOW_TIMEOUT)
 @pytest.mark.parametrize("path", pages(slow=True), ids=lambda path: path.name)
 def test_slow_commands_run(path: Path, checkout: Path) -> None:
     """Those of a page that take minutes."""
@@ -88,7 +91,7 @@ def run(block: Block, folder: Path) -> None:
         try:
             if block.until:
                 interrupt_once_said(process, folder / "said", block.until)
-            process.wait(TIMEOUT)
+            process.wait(SLOW_TIMEOUT if block.slow else TIMEOUT)
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
