@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from ..arrays import Floats
 from ..bags import cdr
+from ..bags.imports.turns import matrix_quaternions, product
 from ..bags.quantities import KINDS
 from ..bags.reader import BagReader, absolute, commands_of
 from ..physics.rotations import normalised
@@ -42,8 +42,7 @@ def read_bag(path: Path, scene: Scene, mesh: TetMesh) -> list[Press]:
     commands = commands_of(reader, poses[0] if poses else None, allow_gaps=True)
     times, forces = _forces(reader, wrenches[0])
     begin = commands.start
-    t, inside = (times - begin) * 1e-9, slice(None)
-    own = commands.receipt
+    t, own = (times - begin) * 1e-9, commands.receipt
     inside = (t >= own[0]) & (t <= own[-1])
     if inside.sum() < 2:
         raise FitError(
@@ -55,7 +54,7 @@ def read_bag(path: Path, scene: Scene, mesh: TetMesh) -> list[Press]:
     turn, origin = plane_axes(scene.plane), np.array(scene.plane.point)
     at = np.searchsorted(own, t, side="right") - 1
     position = np.stack([np.interp(t, own, column) for column in commands.position.T], axis=1)
-    orientation = np.array([_turned(turn, q) for q in commands.orientation[at].tolist()])
+    orientation = product(matrix_quaternions(turn[None])[0], commands.orientation[at])
     position, force = (position - origin) @ turn.T, forces @ turn.T
     deepest = int(np.argmin(position[:, 2]))
     touch = touch_height(scene, mesh, normalised(orientation[deepest].tolist()))
@@ -86,16 +85,3 @@ def _forces(reader: BagReader, topic: str) -> tuple[Floats, Floats]:
             times.append(message.log_time)
             forces.append(force)
     return np.array(times, np.float64), np.array(forces).reshape(-1, 3)
-
-
-def _turned(turn: Floats, q: list[float]) -> list[float]:
-    """The quaternion of turn times the rotation q."""
-    w = 0.5 * math.sqrt(max(1.0 + float(np.trace(turn)), 0.0))
-    if w < 1e-9:
-        a = np.array([1.0, 0.0, 0.0, 0.0])
-    else:
-        a = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1], 4.0 * w * w]) / (
-            4.0 * w
-        )
-    v, u = a[:3], np.array(q[:3])
-    return [*(a[3] * u + q[3] * v + np.cross(v, u)).tolist(), float(a[3] * q[3] - v @ u)]
