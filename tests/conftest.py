@@ -17,7 +17,7 @@ MIDDLE = "test_p"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Those that talk over ROS begin first, as together they take the longest; they are marked `ros`."""
+    """What one process does alone begins first: what talks over ROS, marked `ros`, then what needs a browser."""
 
     def folder(item: pytest.Item) -> str:
         return item.path.relative_to(ROOT).parts[0]
@@ -25,7 +25,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if folder(item) == "ros":
             item.add_marker("ros")
-    items.sort(key=lambda item: (folder(item) != "ros", folder(item) not in WITHOUT_KERNELS))
+    items.sort(key=lambda item: (folder(item) != "ros", folder(item) not in WITHOUT_KERNELS, not _in_browser(item.path)))
+
+
+def _in_browser(file: Path) -> bool:
+    return file.parent == ROOT / "view" and file.name.startswith(BROWSER)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -42,7 +46,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
         def _split_scope(self, nodeid: str) -> str:
             file = nodeid.split("::")[0]
             place = config.rootpath / file
-            if place.parent == ROOT / "view" and place.name.startswith(BROWSER):
+            if _in_browser(place):
                 return "browser"
             return f"ros {place.name < MIDDLE}" if place.parent == ROOT / "ros" else file
 

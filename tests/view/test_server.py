@@ -274,8 +274,6 @@ def test_the_rate_that_a_page_wants(served) -> None:
         slow.until(both)
         quick.until(lambda: len(quick.frames) > count + 20)
         assert time.monotonic() - begin > 0.6
-        gaps = [b.seq - a.seq for a, b in zip(slow.frames[first:], slow.frames[first + 1 :], strict=False)]
-        assert min(gaps) >= 4
 
 
 def test_a_reader_that_has_stopped_costs_nothing() -> None:
