@@ -11,13 +11,13 @@ ROOT = Path(__file__).parent
 WITHOUT_KERNELS = ("bags", "recordings", "scene", "truth")
 """Folders whose tests need no kernels of a step: they run while the first node compiles them."""
 BROWSER = ("test_page", "test_film")
-"""Files of `view` that draw in a browser, which takes a processor."""
+"""Files of `view` that draw in a browser. It takes a processor, and no other event loop runs in its process."""
 MIDDLE = "test_p"
 """Files of `ros` before it take as long as those after it."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What one process does alone begins first: what talks over ROS, marked `ros`, then what needs a browser."""
+    """Those that talk over ROS begin first, as together they take the longest. Sets the marks `ros` and `browser`."""
 
     def folder(item: pytest.Item) -> str:
         return item.path.relative_to(ROOT).parts[0]
@@ -25,11 +25,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if folder(item) == "ros":
             item.add_marker("ros")
-    items.sort(key=lambda item: (folder(item) != "ros", folder(item) not in WITHOUT_KERNELS, not _in_browser(item.path)))
-
-
-def _in_browser(file: Path) -> bool:
-    return file.parent == ROOT / "view" and file.name.startswith(BROWSER)
+        elif folder(item) == "view" and item.path.name.startswith(BROWSER):
+            item.add_marker("browser")
+    items.sort(key=lambda item: (folder(item) != "ros", folder(item) not in WITHOUT_KERNELS))
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -37,8 +35,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """The tests of a file run in one process, so that what they share is made once.
 
     Those of the folder `ros` run in two, each half of its files in one: most of their time they wait, but three nodes
-    at once with their recorders and clients would not hear each other on two cores. Those in a browser run in one: two
-    that draw in software would be too slow.
+    at once with their recorders and clients would not hear each other on two cores.
     """
     from xdist.scheduler import LoadScopeScheduling
 
@@ -46,8 +43,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
         def _split_scope(self, nodeid: str) -> str:
             file = nodeid.split("::")[0]
             place = config.rootpath / file
-            if _in_browser(place):
-                return "browser"
             return f"ros {place.name < MIDDLE}" if place.parent == ROOT / "ros" else file
 
     return ByFile(config, log)

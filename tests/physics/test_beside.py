@@ -55,9 +55,9 @@ def test_what_the_second_process_compiled_is_loaded(tmp_path: Path) -> None:
     ("before", "meanwhile", "second"),
     [
         ("pass", "seen[0].kill(); seen[0].wait()", True),
-        ("os.environ['NUMBA_CACHE_DIR'] += '/other'", "pass", True),
+        pytest.param("os.environ['NUMBA_CACHE_DIR'] += '/other'", "pass", True, marks=pytest.mark.slow),
         ("beside.sys.executable = '/nowhere/python'", "pass", False),
-        ("os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})", "pass", False),
+        pytest.param("os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})", "pass", False, marks=pytest.mark.slow),
     ],
 )
 def test_without_its_help_the_kernel_is_compiled_here(

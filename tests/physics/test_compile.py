@@ -32,6 +32,7 @@ def files(folder: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in folder.glob("*.nb*")}
 
 
+@pytest.mark.slow
 def test_kernels_go_by_content_not_by_place_and_time(tmp_path: Path) -> None:
     """A copy elsewhere with other times finds everything compiled; an edit of callee or constant does not."""
     first, cache = tiny(tmp_path / "first"), tmp_path / "cache"

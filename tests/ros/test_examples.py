@@ -18,6 +18,7 @@ SCRIPTS = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_device_loop_feels_the_table_and_ends_with_ctrl_c(tmp_path):
     """Forces come while the hand presses; Ctrl-C ends it with exit code 0 and what it felt."""
     with NodeProcess(tmp_path / "log", "-p", "scene:=finger_coupled") as node:

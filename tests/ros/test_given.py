@@ -102,6 +102,7 @@ def test_the_node_says_so_when_it_starts(tmp_path: Path) -> None:
     assert f"{file} reaches nothing: it is for /finger, this node is /hand; write /hand or /** there" in node.output
 
 
+@pytest.mark.slow
 def test_a_node_runs_where_nothing_can_be_written(tmp_path: Path) -> None:
     """ROS would end it for want of a log file. Its kernels come from where they are kept."""
     kept = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")

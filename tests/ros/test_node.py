@@ -508,6 +508,7 @@ def test_a_signal_ends_the_node_with_its_bag_closed(tmp_path, number):
     assert {t.name: t.count for t in reader.topics}["/device/pose"] > 0
 
 
+@pytest.mark.slow
 def test_a_light_touch_at_rest_is_no_warning(tmp_path):
     """A millimetre into the pad some limits lock: that is told as a value, and warned of only with what goes wrong."""
     message = command(0.0)
@@ -556,7 +557,8 @@ sys.exit(node.main())
 
 
 @pytest.mark.parametrize(
-    ("compiling", "says"), [(True, "compiling for ever"), pytest.param(False, "stalled", marks=pytest.mark.slow)]
+    ("compiling", "says"),
+    [pytest.param(*case, marks=pytest.mark.slow) for case in ((True, "compiling for ever"), (False, "stalled"))],
 )
 def test_a_loop_that_does_not_come_back_is_reported_and_can_be_ended(tmp_path, compiling, says):
     """Diagnostics go on, services answer with the reason, SIGTERM ends the node with code 0."""
@@ -601,6 +603,7 @@ sys.exit(main())
 """
 
 
+@pytest.mark.slow
 def test_frames_are_broadcast_where_tf2_is_installed(tmp_path):
     """The finger frame turns with the finger, its world-aligned twin does not; the plane is there too."""
     arguments = (

@@ -65,6 +65,7 @@ def test_each_parameter_is_explained() -> None:
     assert max(map(len, text.splitlines())) <= 120
 
 
+@pytest.mark.slow
 def test_the_file_that_the_command_writes_starts_the_node(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Unchanged: the same values as of a scene alone, and no warning. One that is changed: that value."""
     scene = write_block(tmp_path)

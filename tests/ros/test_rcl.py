@@ -615,6 +615,7 @@ rclpy.spin(node)
 """
 
 
+@pytest.mark.slow
 def test_a_listener_that_is_killed_disturbs_nobody():
     """Compiled code goes on publishing to one that is suddenly gone, and to another that comes then."""
     domain = next(DOMAINS)

@@ -405,6 +405,7 @@ def test_a_killed_node_loses_at_most_a_second(tmp_path):
     assert all(topic.lost == 0 for topic in reader.topics)
 
 
+@pytest.mark.slow
 def test_a_killed_writer_loses_at_most_a_second_and_the_node_lives(tmp_path):
     """Diagnostics and service say why; the bag is readable up to one second before; recording works again."""
     bag = tmp_path / "bag"

@@ -46,7 +46,7 @@ TOPICS = ("command_pose", "plane_pose")
 RELIABLE = "qos_overrides./command_pose.subscription.reliability:=reliable"
 
 
-@pytest.mark.parametrize("mode", ["triggered", pytest.param("free", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("mode", [pytest.param(mode, marks=pytest.mark.slow) for mode in ("triggered", "free")])
 def test_a_replay_refuses_what_the_node_refused(tmp_path, mode):
     """Commands and poses of the plane alike; the node goes on, and counts what its recording, replayed, counts."""
     bag = tmp_path / "bag"

@@ -20,6 +20,7 @@ NAMES = ("left", "right")
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 
 
+@pytest.mark.slow
 def test_two_nodes_in_two_namespaces_do_not_disturb_each_other(tmp_path: Path) -> None:
     """Each follows its own commands, has its own parameters and records its own topics."""
     scene, domain = write_block(tmp_path), next(DOMAINS)

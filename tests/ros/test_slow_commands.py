@@ -12,6 +12,7 @@ from geometry_msgs.msg import WrenchStamped
 from ros_helpers import Client, NodeProcess, write_block
 
 
+@pytest.mark.slow
 def test_a_device_that_is_fed_slowly_is_warned_of(tmp_path: Path) -> None:
     """Rate, jitter, mode and delay; a warning only while somebody listens to what a device is to render."""
     with NodeProcess(tmp_path / "log", "-p", f"scene:={write_block(tmp_path)}") as node:

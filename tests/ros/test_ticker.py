@@ -66,7 +66,7 @@ sys.exit(node.main())
 """
 
 
-@pytest.mark.parametrize("misfit", ["asked for", "seen in the first message"])
+@pytest.mark.parametrize("misfit", [pytest.param("asked for", marks=pytest.mark.slow), "seen in the first message"])
 def test_where_rcl_does_not_fit_messages_go_through_rclpy(tmp_path, misfit):
     """The node says so, and follows commands as ever, the first one too; a late misfit takes no step back."""
     changes = {"FINGER_SIM_RCL": "0"} if misfit == "asked for" else {}
@@ -120,7 +120,7 @@ def test_a_body_without_a_bone_falls_and_comes_to_rest(tmp_path):
     np.testing.assert_allclose(forces[-20:], weight, rtol=0.02)
 
 
-@pytest.mark.parametrize("frame", ["finger", "world"])
+@pytest.mark.parametrize("frame", [pytest.param("finger", marks=pytest.mark.slow), "world"])
 def test_wrenches_in_other_frames(tmp_path, frame):
     """Of the same step, from pose and device_wrench: Rᵀ f and Rᵀ τ, or f and τ + p × f."""
     limits = ("-p", "coupling.force_limit:=1000.0", "-p", "coupling.torque_limit:=100.0")

@@ -273,6 +273,7 @@ class Others:
         return Viewer(folder, "--join", "--node", "/left/finger", *arguments, domain=self.domain)
 
 
+@pytest.mark.slow
 def test_a_page_that_only_watches(others, tmp_path: Path) -> None:
     """It shows a plane that others move, and changes nothing; what another node reports is not taken for its own."""
     with others.viewer(tmp_path, "--watch") as viewer, Page(viewer.port) as page, Client(others.domain) as client:
