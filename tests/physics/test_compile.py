@@ -187,6 +187,7 @@ for kind in "nbi", "nbc":
 """
 
 
+@pytest.mark.slow
 def test_no_damage_is_loaded_wherever_it_is(tmp_path: Path, compiled: tuple[Path, Path]) -> None:
     """Bits of the index, of the data around the machine code and of that itself; files cut anywhere."""
     damage, *values = finish(start(compiled[0], tmp_path / "cache", DAMAGE))
@@ -216,6 +217,7 @@ FULL = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (4096, resour
 REMOVED = "import shutil\nfrom finger_sim.physics import step, compile\nshutil.rmtree(compile.cache_folder())" + START
 
 
+@pytest.mark.slow
 def test_a_full_disk_costs_time_and_no_more(tmp_path: Path, compiled: tuple[Path, Path]) -> None:
     """It is said once that nothing is kept; a later start does not take for compiled what could not be kept."""
     for code in (FULL, START):

@@ -327,7 +327,7 @@ sys.exit(main())
     ("then", "says"),
     [
         ("sys.exit('out of luck')", "the node ended with code 1: out of luck"),
-        ("node.Ticker = Broken", "no such luck"),
+        pytest.param("node.Ticker = Broken", "no such luck", marks=pytest.mark.slow),
         ("import os; main = lambda: os.kill(os.getpid(), 9)", "the node ended with code -9"),
     ],
 )

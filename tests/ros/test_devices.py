@@ -212,6 +212,7 @@ def test_a_type_that_is_not_installed_is_named(device) -> None:
         DeviceIn(said, "world", np.zeros(1)), DeviceOut(node, said, dict.fromkeys(("device", "handle"), ""), None)
 
 
+@pytest.mark.slow
 def test_a_node_does_not_hear_itself(tmp_path) -> None:
     """Its own poses would be its commands."""
     with NodeProcess(tmp_path / "log", *arguments(tmp_path, "crtk", "-p", "command_input.topic:=pose")) as node:
@@ -268,7 +269,7 @@ def test_the_clutch_takes_force_and_holds_and_is_replayed(tmp_path) -> None:
     assert [m.data[4] for m in BagReader(bag).messages(["/finger/clutch"])] == [0, 1, 0]
 
 
-@pytest.mark.parametrize("way", ["by hand", pytest.param("triggered", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("way", [pytest.param(way, marks=pytest.mark.slow) for way in ("by hand", "triggered")])
 def test_the_same_through_rclpy_and_in_mode_triggered(tmp_path, way) -> None:
     """Force, clutch and time-out; in mode triggered an open clutch takes force without waiting for a command."""
     stand = Haply()
@@ -286,6 +287,7 @@ def test_the_same_through_rclpy_and_in_mode_triggered(tmp_path, way) -> None:
         assert node.end() == 0
 
 
+@pytest.mark.slow
 def test_the_end_of_the_node_takes_force(tmp_path) -> None:
     """A driver that keeps the last force it heard is not left with one."""
     stand = RosForceDimension()

@@ -54,6 +54,7 @@ def managed(node: NodeProcess) -> Iterator[Managed]:
         yield client
 
 
+@pytest.mark.slow
 def test_one_life(managed: Managed, node: NodeProcess, folder: Path) -> None:
     """Unconfigured, inactive, active and back, twice; and the end: what each state does."""
     wrenches: list[Any] = managed.collect(WrenchStamped, "device_wrench")

@@ -389,6 +389,7 @@ def stamp(message):
     return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
 
 
+@pytest.mark.slow
 def test_a_killed_node_loses_at_most_a_second(tmp_path):
     """After SIGKILL the bag holds all but the last second, and is finished."""
     bag = tmp_path / "bag"

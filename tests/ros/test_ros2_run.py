@@ -69,6 +69,7 @@ def test_the_executable_runs_as_a_node(tmp_path, number):
         assert node.end(number) == 0, node.output
 
 
+@pytest.mark.slow
 def test_the_executable_says_what_is_wrong(tmp_path):
     """A mistake shows as an exit code through the wrapper too."""
     done = subprocess.run(

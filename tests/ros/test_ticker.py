@@ -94,6 +94,7 @@ dt: 0.002
 """
 
 
+@pytest.mark.slow
 def test_a_body_without_a_bone_falls_and_comes_to_rest(tmp_path):
     """In the end the wrench is its weight; all the way it is what `run` computes of the recording, to the last bit."""
     scene, bag = tmp_path / "free.yaml", tmp_path / "bag"
@@ -120,7 +121,7 @@ def test_a_body_without_a_bone_falls_and_comes_to_rest(tmp_path):
     np.testing.assert_allclose(forces[-20:], weight, rtol=0.02)
 
 
-@pytest.mark.parametrize("frame", [pytest.param("finger", marks=pytest.mark.slow), "world"])
+@pytest.mark.parametrize("frame", [pytest.param(frame, marks=pytest.mark.slow) for frame in ("finger", "world")])
 def test_wrenches_in_other_frames(tmp_path, frame):
     """Of the same step, from pose and device_wrench: Rᵀ f and Rᵀ τ, or f and τ + p × f."""
     limits = ("-p", "coupling.force_limit:=1000.0", "-p", "coupling.torque_limit:=100.0")

@@ -98,6 +98,7 @@ rclpy.spin(node)
 """
 
 
+@pytest.mark.slow
 def test_listeners_that_stop_reading_stop_nobody(client, node):
     """One whose process is paused, one that is never spun: steps go on and messages come."""
     with Client(node.domain) as idle:

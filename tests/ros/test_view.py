@@ -232,6 +232,7 @@ def state_of(process: int) -> str:
         return "Z"
 
 
+@pytest.mark.slow
 def test_another_scene(viewer, page, tmp_path: Path) -> None:
     """The node is started with it, and what was being recorded can be fetched; one that is not offered is refused."""
     assert "scene: got '/etc/passwd'" in page.notice("scene", name="/etc/passwd")
@@ -311,6 +312,7 @@ def test_a_node_of_somebody_else(others, tmp_path: Path) -> None:
                 others.start()
 
 
+@pytest.mark.slow
 def test_a_page_beside_something(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It only looks, its address is said, it says where no node is heard, and ends with what it is beside."""
     domain = next(DOMAINS)
