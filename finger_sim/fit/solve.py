@@ -112,8 +112,11 @@ def sigmas(model: Model) -> Floats:
 
 
 def usual_size(residuals: Residuals) -> float:
-    """Usual size of a difference: 1.48 times the median of their sizes, LEAST_SIZE at least."""
-    return max(LEAST_SIZE, 1.4826 * float(np.median(np.abs(residuals.values))))
+    """Usual size of a difference: 1.48 times the median of their sizes, LEAST_SIZE at least.
+
+    That of normal forces: a tangential force that is 0 all the time would make it small.
+    """
+    return max(LEAST_SIZE, 1.4826 * float(np.median(np.abs(residuals.values[residuals.channel == 0]))))
 
 
 def robust_scale(size: float) -> float:
