@@ -13,13 +13,13 @@ import numpy as np
 
 from ..arrays import Floats, Ints
 from ..scene import Scene
-from ..studies.at_rest import faded
+from ..studies.at_rest import NO_VISCOSITY, faded
 from ..studies.tradeoff.run import portable
 from .parameters import Unknown, changes
 from .press import Path as Way
 from .press import Press, at_rest_path, timed_path
 from .runs import Job, Runner, job
-from .simulate import AT_REST, CALM, Run, in_time
+from .simulate import AT_REST, Run, in_time
 
 RELATIVE = 0.02
 """Error of a force that counts as one, a part of it."""
@@ -84,7 +84,7 @@ class Model:
         if self.in_time:
             scene = scene.with_values(in_time(scene) | {"solver.level": "standard"})
         else:
-            scene = faded(scene).with_values(AT_REST | (CALM if scene.limits is not None else {}))
+            scene = faded(scene).with_values(AT_REST | (NO_VISCOSITY if scene.limits is not None else {}))
         data = portable(scene)
         return [
             job(data, self.way(k, self.shift(theta, k)), press.area is not None) for k, press in enumerate(self.presses)
