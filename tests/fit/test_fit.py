@@ -172,18 +172,26 @@ def test_what_relaxes_comes_back(tmp_path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("seed", [0, 10, 20])
-def test_two_terms_come_back(tmp_path, seed):
-    """Of times that are apart by a factor of twelve, with modulus and shares: in their intervals, neither too wide."""
-    true = relaxing((0.05, 0.25), (0.6, 0.3))
-    path = data(tmp_path, true, (held(1.5),), seed, FORCE)
+def test_two_terms_come_back(tmp_path):
+    """Of times that are apart by a factor of twelve, with modulus and shares, from three draws of noise.
+
+    Of 15 intervals of 95 % two may miss, and none by more than a tenth of its width; none is wider than a factor of e.
+    """
     scene = scene_file(tmp_path, relaxing((0.08, 0.2), (1.0, 0.2)))
     names = ["young", "time.1", "share.1", "time.2", "share.2"]
-    found = by_name(fit(Options(str(scene), [path], names=names, starts=2), Runner(None), lambda text: None))
-    for name, value in zip(names, (2e4, 0.05, 0.25, 0.6, 0.3), strict=True):
-        one = found[name]
-        assert holds(one, value), (name, one)
-        assert one.interval.high - one.interval.low < 1.0
+    missed = []
+    for seed in (0, 10, 20):
+        path = data(tmp_path, relaxing((0.05, 0.25), (0.6, 0.3)), (held(1.5),), seed, FORCE)
+        found = by_name(fit(Options(str(scene), [path], names=names, starts=2), Runner(None), lambda text: None))
+        for name, value in zip(names, (2e4, 0.05, 0.25, 0.6, 0.3), strict=True):
+            one, theta = found[name], found[name].unknown.theta(value)
+            assert one.told, (seed, one)
+            width = one.interval.high - one.interval.low
+            off = max(one.interval.low - theta, theta - one.interval.high)
+            assert width < 1.0, (seed, one)
+            assert off < 0.1 * width, (seed, one)
+            missed += [(seed, name)] if off > 0.0 else []
+    assert len(missed) <= 2, missed
 
 
 @pytest.mark.slow
