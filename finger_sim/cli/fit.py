@@ -39,7 +39,8 @@ def add_fit(verbs: Any) -> None:
         default=[],
         metavar="NAME",
         help="young, stretch, compress (of all axes), stretch.e1 (of one), stretch.e13 (of two, the same), stiffness, "
-        "damping, friction, touch (an error of each first touch); default: young and each limit of the scene",
+        "damping, friction, time.1 and share.1 (of the first term of material.relaxation), touch (an error of each "
+        "first touch); default: young and each limit of the scene",
     )
     add("--direction", choices=("flat", "side", "tip"), help="of data that do not say, and of a target")
     add(
@@ -48,8 +49,8 @@ def add_fit(verbs: Any) -> None:
     )  # fmt: skip
     add(
         "--prior", type=_pair, action="append", default=[], metavar="NAME=VALUE:FACTOR",
-        help="what it is believed to be, within a factor (one standard deviation; of a limit: of its room); may be "
-        "repeated (default: the scene's value within a factor of 3)",
+        help="what it is believed to be, within a factor (one standard deviation; of a limit: of its room, of a "
+        "share: of it over its rest); may be repeated (default: the scene's value within a factor of 3)",
     )  # fmt: skip
     add(
         "--floor",
@@ -61,7 +62,8 @@ def add_fit(verbs: Any) -> None:
     add(
         "--in-time",
         action="store_true",
-        help="follow presses in time, not at rest: slower (always with damping, and with limits other than tensor)",
+        help="follow presses in time, not at rest: slower (always with damping, with what relaxes, and with limits "
+        "other than tensor)",
     )
     add(
         "--carry",

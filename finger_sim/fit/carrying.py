@@ -18,7 +18,7 @@ from .runs import Runner, job
 from .simulate import in_time
 
 MOST_STEPS = 4000
-"""Time steps of a press that is run in time, at most: a longer one is pressed faster."""
+"""Time steps of a press that was fitted at rest, at most: a longer one is pressed faster."""
 
 
 class Carried(NamedTuple):
@@ -74,8 +74,8 @@ def as_it_runs(model: Model, runner: Runner, theta: Floats, found: Scene, own: S
     presses, jobs = [], []
     for k, press in enumerate(model.presses):
         start, seconds = press.time[0], press.time[-1] - press.time[0]
-        time = start + (press.time - start) * min(1.0, MOST_STEPS * found.dt / seconds)
-        presses.append(replace(press, time=time, area=None))
+        faster = 1.0 if model.in_time else min(1.0, MOST_STEPS * found.dt / seconds)
+        presses.append(replace(press, time=start + (press.time - start) * faster, area=None))
         jobs.append(job(scene, timed_path(presses[-1], found.dt, model.shift(theta, k)), False))
     return [
         curve(press, each.way, run, 1.0)._replace(way=fitted.way, area=fitted.area)

@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,13 +19,14 @@ import numpy as np
 from ..arrays import Floats
 from ..scene import Scene
 from ..scene.calibration import name_of, scene_on
+from ..studies.at_rest import faded
 from .bag_data import read_bag
 from .carrying import Carried, as_it_runs, carried
 from .checks import checked
 from .csv_data import read_csv
 from .model import Curve, Model, differences, joined, needs_time, relative_error
-from .parameters import Unknown, changes, default_names, unknowns_of
-from .press import FitError, Press
+from .parameters import Unknown, allowed, changes, default_names, unknowns_of
+from .press import FitError, Press, touching
 from .runs import Runner
 from .solve import Solution, best_modulus, jacobian, robust_cost, robust_scale, solve, starts, usual_size
 from .target import target_press
@@ -134,14 +135,19 @@ def read(options: Options) -> tuple[Scene, list[Press], list[str]]:
 def asked(options: Options, scene: Scene, presses: Sequence[Press]) -> list[Unknown]:
     """The unknowns that are to be fitted. Raises FitError."""
     names = [press.name for press in presses]
-    return unknowns_of(scene, options.names or default_names(scene), names, options.bounds, options.priors)
+    found = unknowns_of(scene, options.names or default_names(scene), names, options.bounds, options.priors)
+    timed = [one.name for one in found if one.timed]
+    if options.target is not None and timed:
+        raise FitError(f"--fit: {', '.join(timed)}: a target is a curve at rest, allowed: what shows at rest")
+    return found
 
 
 def fit(options: Options, runner: Runner, tell: Tell) -> Fit:
     """The whole of it. tell: takes a line on each stage. Raises FitError, SceneError, MeshError, BagError."""
     scene, presses, notes = read(options)
     unknowns = asked(options, scene, presses)
-    wanted, in_time = options.target is not None, options.in_time or needs_time(scene, unknowns)
+    wanted, in_time = options.target is not None, options.in_time
+    in_time = in_time or needs_time(faded(scene) if wanted else scene, unknowns)
     model = Model(scene, tuple(unknowns), tuple(presses), in_time, wanted=wanted, floor=options.floor)
     count = len(unknowns)
     runner.foreseen = len(presses) * (options.starts + (REFINED * 5 + 4) * (count + 1) + 16 * count + 16)
@@ -159,9 +165,8 @@ def fit(options: Options, runner: Runner, tell: Tell) -> Fit:
     size = usual_size(model.residuals(runner, [theta])[0])
     solution = solve(model, runner, theta, size, LAST)
     size = usual_size(solution.residuals)
-    near = local(
-        Solution(solution.theta, solution.residuals, size, solution.cost), _derivatives(model, runner, solution)
-    )
+    solution = replace(solution, theta=allowed(model.unknowns, scene, solution.theta), size=size)
+    near = local(solution, _derivatives(model, runner, solution))
     tell("how well each is known")
     intervals = profile(model, runner, near, range(len(model.unknowns)))
     resampled = bootstrap(model, near)
@@ -251,7 +256,9 @@ def _why(model: Model, near: Local, j: int, interval: Interval, curves: Sequence
         side = "stretch" if one.kind == "stretch" else "compression"
         if reach < 1.0:
             return f"no press reaches a limit of {side} along {axes} (strain comes to {reach:.2f} of it): {fits}; {was}"
-        return f"{fits}; {was}{_companion(model, near, j)}"
+    if one.kind == "time":
+        longest = max(float(np.ptp(press.time[touching(press)])) for press in model.presses)
+        return f"the longest press touches for {longest:.3g} s: {fits}; {was}{_companion(model, near, j)}"
     return f"{fits}; {was}{_companion(model, near, j)}"
 
 

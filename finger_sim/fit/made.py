@@ -37,7 +37,7 @@ FLOOR = 2e-3
 
 @dataclass(frozen=True)
 class Course:
-    """A press: down to `depth` [m] in `seconds`, along the plane by `slide` [m] in as long, and up again.
+    """A press: down to `depth` [m] in `seconds`, there for `hold` [s], along by `slide` [m] in `seconds`, and up.
 
     turn: orientation xyzw where it is no direction that has a name
     """
@@ -48,6 +48,7 @@ class Course:
     slide: float = 0.0
     name: str = ""
     turn: Quaternion | None = None
+    hold: float = 0.0
 
     @property
     def orientation(self) -> Quaternion:
@@ -71,6 +72,7 @@ def measured(scene: Scene, course: Course, noise: float = NOISE, seed: int = 0) 
     turn = course.orientation
     touch = touch_height(scene, simulator.mesh, turn)
     legs = [(0.1, -ABOVE, 0.0), (course.seconds, course.depth, 0.0)]
+    legs += [(course.hold, course.depth, 0.0)] if course.hold else []
     legs += [(course.seconds, course.depth, course.slide)] if course.slide else []
     legs += [(course.seconds, -ABOVE, course.slide)]
     rows, now, every = [], (-ABOVE, 0.0), max(1, round(1.0 / (RATE * scene.dt)))

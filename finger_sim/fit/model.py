@@ -13,12 +13,13 @@ import numpy as np
 
 from ..arrays import Floats, Ints
 from ..scene import Scene
+from ..studies.at_rest import NO_VISCOSITY, faded
 from ..studies.tradeoff.run import portable
-from .parameters import TIMED, Unknown, changes
+from .parameters import Unknown, changes
 from .press import Path as Way
 from .press import Press, at_rest_path, timed_path
 from .runs import Job, Runner, job
-from .simulate import AT_REST, CALM, Run, in_time
+from .simulate import AT_REST, Run, in_time
 
 RELATIVE = 0.02
 """Error of a force that counts as one, a part of it."""
@@ -79,10 +80,12 @@ class Model:
         values = changes(self.unknowns, self.scene, theta)
         if not self.in_time:
             values.pop("material.young", None)
-        setting = in_time(self.scene) | {"solver.level": "standard"} if self.in_time else dict(AT_REST)
-        if self.scene.limits is not None and not self.in_time:
-            setting |= CALM
-        data = portable(self.scene.with_values({**setting, **values}))
+        scene = self.scene.with_values(values)
+        if self.in_time:
+            scene = scene.with_values(in_time(scene) | {"solver.level": "standard"})
+        else:
+            scene = faded(scene).with_values(AT_REST | (NO_VISCOSITY if scene.limits is not None else {}))
+        data = portable(scene)
         return [
             job(data, self.way(k, self.shift(theta, k)), press.area is not None) for k, press in enumerate(self.presses)
         ]
@@ -131,12 +134,13 @@ class Model:
 
 
 def needs_time(scene: Scene, unknowns: Sequence[Unknown]) -> bool:
-    """Whether presses are to be followed in time: for an unknown that shows only so, and for limits that do not rest.
+    """Whether presses are to be followed in time: for an unknown that shows only so, and for what does not rest.
 
     Limits on principal stretches (all projections but `tensor`) give other forces in long steps than in short ones.
+    Flesh that relaxes pushes back less the longer it is held.
     """
     restless = scene.limits is not None and scene.limits.projection != "tensor"
-    return restless or any(one.name in TIMED for one in unknowns)
+    return restless or bool(scene.material.relaxation) or any(one.timed for one in unknowns)
 
 
 def curve(press: Press, way: Way, run: Run, scale: float) -> Curve:

@@ -1,21 +1,28 @@
 """What can be fitted: each unknown, the scene's values that it stands for, its bounds and its prior.
 
-Unknowns are fitted as logarithms: of a value, or of the room of a limit, s_max − 1 or 1 − s_min. To have another one,
-add a line to VALUES (for a number of the scene) or a class beside `Unknown` with the same methods.
+Unknowns are fitted as logarithms: of a value, of the room of a limit, s_max − 1 or 1 − s_min, or of a share over its
+rest, g/(1 − g). To have another one, add a line to VALUES (for a number of the scene) or a class beside `Unknown` with
+the same methods.
+
+Shares of what relaxes are less than 1 together. Where the fitted ones would leave less than LEFT, they are scaled down
+together until they leave that.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
+
+import numpy as np
 
 from ..arrays import Floats
 from ..scene import Scene
 from .press import FitError
 
-Kind = Literal["value", "stretch", "compress", "touch"]
+Kind = Literal["value", "stretch", "compress", "time", "share", "touch"]
 
 TOUCH = 1e-4
 """Scale of the error of the first touch [m]: its prior."""
@@ -38,7 +45,14 @@ VALUES = {
 }
 """Those that are one number, by their name on the command line."""
 TIMED = ("damping",)
-"""Those that only a simulation in time depends on."""
+"""Those of VALUES that only a simulation in time depends on."""
+RELAXATION = ("time", "share")
+"""Of each term of `material.relaxation`. They, too, show only in time."""
+TERMS = "material.relaxation"
+SOUGHT = {"time": (1e-3, 1e4), "share": (1e-3, 0.95)}
+"""Between what they are sought [s], [1]."""
+LEFT = 0.02
+"""What shares leave together at least; less where the scene leaves less."""
 LIMITS = ("stretch", "compress")
 ROOM = {"stretch": (2e-3, 2.0), "compress": (2e-3, 0.95)}
 """Between what the room of a limit is sought."""
@@ -51,6 +65,7 @@ class Unknown:
     """One unknown θ.
 
     axes    : of a limit: 0 to 2, all of which have the same
+    term    : of what relaxes: its number, from 0 on
     start   : the scene's value, or room
     low     : bound of the same, and `high`
     factor  : standard deviation of the prior, as a factor
@@ -66,9 +81,15 @@ class Unknown:
     factor: float = FACTOR
     centre: float | None = None
     axes: tuple[int, ...] = ()
+    term: int = -1
     press: int | None = None
     key: str = ""
     unit: str = ""
+
+    @property
+    def timed(self) -> bool:
+        """Whether only a simulation in time depends on it."""
+        return self.name in TIMED or self.kind in RELAXATION
 
     @property
     def sigma(self) -> float:
@@ -81,12 +102,16 @@ class Unknown:
         return self.theta(min(max(self.start, self.low), self.high) if self.centre is None else self.centre)
 
     def theta(self, amount: float) -> float:
-        """θ of a value, a room, or a depth [m]."""
-        return amount / TOUCH if self.kind == "touch" else math.log(amount)
+        """θ of a value, a room, a share, or a depth [m]."""
+        if self.kind == "touch":
+            return amount / TOUCH
+        return math.log(amount / (1.0 - amount) if self.kind == "share" else amount)
 
     def amount(self, theta: float) -> float:
-        """The value, the room or the depth [m] at θ."""
-        return theta * TOUCH if self.kind == "touch" else math.exp(theta)
+        """The value, the room, the share or the depth [m] at θ."""
+        if self.kind == "touch":
+            return theta * TOUCH
+        return 1.0 / (1.0 + math.exp(-theta)) if self.kind == "share" else math.exp(theta)
 
     def told(self, theta: float) -> float:
         """As the scene has it: a stretch for a limit; of a touch in mm."""
@@ -105,6 +130,10 @@ class Unknown:
             for axis in self.axes:
                 row[axis] = self.told(theta)
             values[key] = row
+        elif self.kind in RELAXATION:
+            terms = values.get(TERMS, [{"time": each.time, "share": each.share} for each in scene.material.relaxation])
+            changed = {**terms[self.term], self.kind: self.amount(theta)}
+            values[TERMS] = [*terms[: self.term], changed, *terms[self.term + 1 :]]
         elif self.kind == "value":
             values[self.key] = self.amount(theta)
 
@@ -117,9 +146,26 @@ class Unknown:
 def changes(unknowns: Sequence[Unknown], scene: Scene, theta: Sequence[float] | Floats) -> dict[str, Any]:
     """The scene's values at θ."""
     values: dict[str, Any] = {}
-    for unknown, each in zip(unknowns, theta, strict=True):
+    for unknown, each in zip(unknowns, allowed(unknowns, scene, theta), strict=True):
         unknown.write(values, scene, float(each))
     return values
+
+
+def allowed(unknowns: Sequence[Unknown], scene: Scene, theta: Sequence[float] | Floats) -> Floats:
+    """θ (p,) with fitted shares scaled down together where they leave less than LEFT; it gives the same `changes`."""
+    out = np.array(theta, np.float64)
+    fitted = [j for j, one in enumerate(unknowns) if one.kind == "share"]
+    if not fitted:
+        return out
+    terms = [unknowns[j].term for j in fitted]
+    given = [each.share for each in scene.material.relaxation]
+    others = sum(share for term, share in enumerate(given) if term not in terms)
+    most = max(1.0 - LEFT, sum(given)) - others
+    shares = [unknowns[j].amount(float(out[j])) for j in fitted]
+    if sum(shares) > most * (1.0 + 1e-9):
+        for j, share in zip(fitted, shares, strict=True):
+            out[j] = unknowns[j].theta(share * most / sum(shares))
+    return out
 
 
 def unknowns_of(
@@ -132,7 +178,8 @@ def unknowns_of(
     """Unknowns by their names; presses: the names of presses.
 
     names  : of VALUES; stretch and compress for one limit of all axes, stretch.e1 for that of an axis, stretch.e13 for
-             one of two; touch, for an error of each press's first touch. Also as the scene has them: limits.stretch.e1
+             one of two; time.1 and share.1 of the first term of what relaxes; touch, for an error of each press's first
+             touch. Also as the scene has them: limits.stretch.e1, material.relaxation.1.share
     bounds : (low, high) by name, as the scene has the value; priors: (value, factor) by name
 
     Raises FitError naming what cannot be fitted, and why.
@@ -147,7 +194,8 @@ def unknowns_of(
                 for k, press in enumerate(presses)
             ]
             continue
-        one = _limit(scene, name) if name.partition(".")[0] in LIMITS else _value(scene, name)
+        first = name.partition(".")[0]
+        one = (_limit if first in LIMITS else _term if first in RELAXATION else _value)(scene, name)
         for spot in [(one.kind if one.axes else name, axis) for axis in one.axes or (-1,)]:
             if spot in taken:
                 raise FitError(f"--fit: {given}: fitted twice")
@@ -183,12 +231,16 @@ def _short(name: str) -> str:
     for short, known in VALUES.items():
         if name == known.key:
             return short
-    return name.removeprefix("limits.")
+    term = re.fullmatch(r"material\.relaxation\.(\d+)\.(time|share)", name)
+    return f"{term[2]}.{term[1]}" if term else name.removeprefix("limits.")
 
 
 def _value(scene: Scene, name: str) -> Unknown:
     if name not in VALUES:
-        raise FitError(f"--fit: got {name!r}, allowed: {', '.join(VALUES)}, stretch, compress, stretch.e1 …, touch")
+        raise FitError(
+            f"--fit: got {name!r}, allowed: {', '.join(VALUES)}, stretch, compress, stretch.e1 …, time.1 …, "
+            f"share.1 …, touch"
+        )
     known = VALUES[name]
     value = next((p.value for p in scene.parameters() if p.name == known.key), None)
     if value is None:
@@ -226,11 +278,33 @@ def _limit(scene: Scene, name: str) -> Unknown:
     return Unknown(name, kind, start, min(low, start), max(high, start), axes=axes)
 
 
+def _term(scene: Scene, name: str) -> Unknown:
+    """A time stays on its side of halfway to the scene's next one, in logarithms: two terms do not change places."""
+    kind: Kind = "time" if name.startswith("time") else "share"
+    terms = scene.material.relaxation
+    if not terms:
+        raise FitError(f"--fit: {name}: the scene has no {TERMS}, allowed: a scene with terms to begin with")
+    names = [f"{kind}.{term}" for term in range(1, len(terms) + 1)]
+    if name not in names:
+        count = f"{len(terms)} term{'s' if len(terms) > 1 else ''}"
+        raise FitError(f"--fit: got {name!r}, allowed with the {count} of {TERMS}: {', '.join(names)}")
+    term = names.index(name)
+    value = getattr(terms[term], kind)
+    if value <= 0.0:
+        raise FitError(f"--fit: {name}: it is {value:g} in the scene, allowed: a number > 0 to begin with")
+    low, high = SOUGHT[kind]
+    if kind == "time":
+        low = max([low, *(math.sqrt(value * each.time) for each in terms if each.time < value)])
+        high = min([high, *(math.sqrt(value * each.time) for each in terms if each.time > value)])
+    unit = "s" if kind == "time" else ""
+    return Unknown(name, kind, value, min(low, value), max(high, value), term=term, unit=unit)
+
+
 def _bounded(one: Unknown, pair: tuple[float, float] | None) -> Unknown:
     if pair is None:
         return one
     low, high = sorted(one.untold(value) for value in pair)
-    if (one.kind != "touch" and low <= 0.0) or not low < high or (one.kind == "compress" and high >= 1.0):
+    if (one.kind != "touch" and low <= 0.0) or not low < high or (one.kind in ("compress", "share") and high >= 1.0):
         raise FitError(
             f"--bound: {one.name}: got {pair[0]:g}:{pair[1]:g}, allowed: LOW:HIGH as the scene has the value"
         )

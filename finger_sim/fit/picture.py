@@ -1,4 +1,7 @@
-"""The picture of a fit: force against depth of each press, what is left of it, and each unknown with its interval."""
+"""The picture of a fit: each press, what is left of it, and each unknown with its interval.
+
+Force is drawn against depth; where something relaxes, against time.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,8 @@ def draw(fit: Fit) -> Figure:
             row, column = divmod(k, WIDEST)
             force = figure.add_subplot(grid[2 * row, column])
             rest = figure.add_subplot(grid[2 * row + 1, column], sharex=force)
-            _press(force, rest, press, fit.curves[k], fit.before[k], f"{press.name}: {fit.errors[k]:.1%}")
+            title = f"{press.name}: {fit.errors[k]:.1%}"
+            _press(force, rest, press, fit.curves[k], fit.before[k], title, bool(fit.scene.material.relaxation))
             if k == 0:
                 force.legend(frameon=False, fontsize=8, loc="upper left")
             if column == 0:
@@ -51,25 +55,26 @@ def draw(fit: Fit) -> Figure:
     return figure
 
 
-def _press(force: Any, rest: Any, press: Press, fitted: Curve, before: Curve, title: str) -> None:
+def _press(force: Any, rest: Any, press: Press, fitted: Curve, before: Curve, title: str, timed: bool) -> None:
     used = fitted.way.used
-    depth = 1e3 * press.depth[used]
+    along = press.time - press.time[used[0]] if timed else 1e3 * press.depth
+    x = along[used]
     force.plot(
-        depth, press.normal[used], ".", color=MEASURED, ms=3, label="asked for" if press.name == TARGET else "measured"
+        x, press.normal[used], ".", color=MEASURED, ms=3, label="asked for" if press.name == TARGET else "measured"
     )
-    force.plot(1e3 * press.depth[before.way.used], before.normal, color=BEFORE, lw=0.9, ls="--", label="before")
-    force.plot(depth, fitted.normal, color=FITTED, lw=1.4, label="fitted")
+    force.plot(along[before.way.used], before.normal, color=BEFORE, lw=0.9, ls="--", label="before")
+    force.plot(x, fitted.normal, color=FITTED, lw=1.4, label="fitted")
     if press.tangential is not None and fitted.tangential is not None:
         size = [t if t.ndim == 1 else np.linalg.norm(t, axis=1) for t in (press.tangential[used], fitted.tangential)]
         if size[0].max() > 0.05 * press.normal.max():
-            force.plot(depth, size[0], ".", color=SIDEWAYS, ms=2, alpha=0.5, label="tangential")
-            force.plot(depth, size[1], color=SIDEWAYS, lw=1.2)
+            force.plot(x, size[0], ".", color=SIDEWAYS, ms=2, alpha=0.5, label="tangential")
+            force.plot(x, size[1], color=SIDEWAYS, lw=1.2)
     force.set_ylim(-0.03 * press.normal.max(), 1.35 * press.normal.max())
     force.set_title(title, fontsize=9)
     force.tick_params(labelbottom=False)
     rest.axhline(0.0, color="0.7", lw=0.8)
-    rest.plot(depth, fitted.normal - press.normal[used], ".", color=FITTED, ms=2)
-    rest.set_xlabel("depth [mm]")
+    rest.plot(x, fitted.normal - press.normal[used], ".", color=FITTED, ms=2)
+    rest.set_xlabel("time [s]" if timed else "depth [mm]")
 
 
 def _unknowns(axes: Any, fit: Fit) -> None:
@@ -92,4 +97,6 @@ def _unknowns(axes: Any, fit: Fit) -> None:
     axes.set_ylim(len(fit.estimates) - 0.5, -0.5)
     low, high = axes.get_xlim()
     axes.set_xlim(max(low, -1.7), min(high, 1.7))
-    axes.set_xlabel("ln of value, or of a limit's room, over what was found; ◇ before", fontsize=8)
+    axes.set_xlabel(
+        "ln of value, of a limit's room, of a share over its rest, over what was found; ◇ before", fontsize=8
+    )

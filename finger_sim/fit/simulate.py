@@ -19,8 +19,6 @@ PLANE: dict[str, Any] = {"plane.point": [0.0, 0.0, 0.0], "plane.normal": [0.0, 0
 """Presses are told in the plane's frame."""
 AT_REST: dict[str, Any] = {**SETTING, **PLANE, "solver.tolerance": 1e-4, "coupling.following": "hold"}
 """Of presses at rest: long steps, which let motion die out at once. Force is proportional to E then."""
-CALM = {"limits.viscosity": 8.0}
-"""Of their limits. Less, and a deep press that no limit allows goes to and fro; more, and four steps bring no rest."""
 FOLLOWED: dict[str, Any] = {
     **PLANE,
     "solver.sleep": False,

@@ -10,9 +10,10 @@ from scipy.optimize import least_squares
 
 from ..arrays import Floats
 from .model import Model, Residuals
+from .parameters import RELAXATION
 from .runs import Runner
 
-STEP = {"value": 0.08, "stretch": 0.08, "compress": 0.08, "touch": 0.3}
+STEP = {"value": 0.08, "stretch": 0.08, "compress": 0.08, "time": 0.15, "share": 0.15, "touch": 0.3}
 """Steps of θ that derivatives are taken over: forces of a simulation are smooth to about 0.5 %."""
 ROBUST = 3.0
 """Differences above so many of the usual size count less than their square (soft L1)."""
@@ -79,7 +80,8 @@ def solve(model: Model, runner: Runner, start: Floats, size: float, evaluations:
 def jacobian(model: Model, runner: Runner, theta: Floats, *, central: bool = False) -> Floats:
     """(n, p) derivatives of the differences. All points are simulated at once.
 
-    central: differences to both sides, which costs twice as much
+    central: differences to both sides, which costs twice as much; of what relaxes always, as times and shares change
+             forces alike but for their curvature
     """
     low, high = bounds(model)
     points, spans = [], []
@@ -87,7 +89,7 @@ def jacobian(model: Model, runner: Runner, theta: Floats, *, central: bool = Fal
         step = STEP[one.kind] if theta[j] + STEP[one.kind] <= high[j] else -STEP[one.kind]
         ahead, behind = theta.copy(), theta.copy()
         ahead[j] += step
-        if central and low[j] <= theta[j] - step <= high[j]:
+        if (central or one.kind in RELAXATION) and low[j] <= theta[j] - step <= high[j]:
             behind[j] -= step
         points += [ahead, behind]
         spans.append(ahead[j] - behind[j])
@@ -112,8 +114,11 @@ def sigmas(model: Model) -> Floats:
 
 
 def usual_size(residuals: Residuals) -> float:
-    """Usual size of a difference: 1.48 times the median of their sizes, LEAST_SIZE at least."""
-    return max(LEAST_SIZE, 1.4826 * float(np.median(np.abs(residuals.values))))
+    """Usual size of a difference: 1.48 times the median of their sizes, LEAST_SIZE at least.
+
+    That of normal forces: a tangential force that is 0 all the time would make it small.
+    """
+    return max(LEAST_SIZE, 1.4826 * float(np.median(np.abs(residuals.values[residuals.channel == 0]))))
 
 
 def robust_scale(size: float) -> float:

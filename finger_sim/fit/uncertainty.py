@@ -46,7 +46,7 @@ class Local:
 
     J        : (n, p) derivatives
     weights  : (n,) see robust_weights
-    variance : s² of a difference; repeated ones that go together count as fewer
+    variance : s² of a difference, of the channel where it is largest; repeated ones that go together count as fewer
     freedom  : how many differences there are beyond the unknowns
     """
 
@@ -62,7 +62,9 @@ def local(solution: Solution, J: Floats) -> Local:
     r = solution.residuals
     weights = robust_weights(r.values, robust_scale(solution.size))
     freedom = max(1, len(r.values) - J.shape[1])
-    variance = float(weights @ r.values**2) / freedom
+    squares = weights * r.values**2
+    variance = max(float(np.mean(squares[r.channel == one])) for one in np.unique(r.channel))
+    variance *= len(r.values) / freedom
     return Local(solution, J, weights, max(variance * _together(solution), 1e-4), freedom)
 
 

@@ -57,8 +57,8 @@ SETTING: dict[str, Any] = {
     "coupling.type": "kinematic",
 }
 """Of every press: long steps, which let motion die out at once."""
-CALM = {"limits.viscosity": 50.0}
-"""Of limits: none of it is left at rest."""
+NO_VISCOSITY = {"limits.viscosity": 0.0}
+"""Of limits: in long steps it makes a finger creep to its rest, so slowly that it seems to be there."""
 _PART = 2e-4  # of a press between two rests [m]; half of it: flat 0.3 %, on the side 3 %
 _APART = 1e-5  # two rests tell a slope [m]
 _CALM_STEPS, _CHANGE = 4, 5e-5  # at rest in so many steps the force changes by no more than this part of itself
@@ -117,8 +117,8 @@ def answers(scene: Scene, orientations: tuple[str, ...] = ("flat", "side", "tip"
 
 
 def at_rest(scene: Scene) -> Scene:
-    """The scene as it is pressed: SETTING, and CALM where it has limits; stress that relaxes has done so."""
-    return faded(scene).with_values(SETTING | (CALM if scene.limits is not None else {}))
+    """The scene as it is pressed: SETTING, and NO_VISCOSITY where it has limits; stress that relaxes has done so."""
+    return faded(scene).with_values(SETTING | (NO_VISCOSITY if scene.limits is not None else {}))
 
 
 def faded(scene: Scene) -> Scene:

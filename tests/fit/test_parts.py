@@ -11,7 +11,7 @@ from cases import for_each
 from fit.block import LEVEL, block
 
 from finger_sim.fit.model import Residuals, curve, needs_time
-from finger_sim.fit.parameters import Unknown, changes, default_names, unknowns_of
+from finger_sim.fit.parameters import Unknown, allowed, changes, default_names, unknowns_of
 from finger_sim.fit.press import FitError, Press, at_rest_path, timed_path
 from finger_sim.fit.simulate import Run
 from finger_sim.fit.solve import Solution, centres, solve
@@ -91,6 +91,59 @@ def test_unknowns_and_their_values():
 def test_what_cannot_be_fitted_is_named(names, bounds, priors, words):
     with pytest.raises(FitError) as error:
         unknowns_of(block(), names, ["a"], bounds, priors)
+    assert words in str(error.value)
+
+
+TERMS = [{"time": 0.01, "share": 0.3}, {"time": 1.0, "share": 0.2}]
+
+
+def test_terms_of_what_relaxes():
+    """Names, units, bounds and what is written; the other term and the other value of a term stay."""
+    scene = block(material__relaxation=TERMS)
+    found = unknowns_of(scene, ["material.relaxation.2.time", "share.1"], [], {"share.1": (0.1, 0.5)})
+    assert [(one.name, one.unit, one.timed) for one in found] == [("time.2", "s", True), ("share.1", "", True)]
+    assert (found[0].low, found[0].high) == (pytest.approx(0.1), 1e4)
+    assert (found[1].low, found[1].high) == (0.1, 0.5)
+    values = changes(found, scene, [math.log(2.5), math.log(0.4 / 0.6)])
+    assert [list(term) for term in values["material.relaxation"]] == [["time", "share"]] * 2
+    np.testing.assert_allclose([list(t.values()) for t in values["material.relaxation"]], [[0.01, 0.4], [2.5, 0.2]])
+    assert [one.told(t) for one, t in zip(found, [0.0, math.log(3.0)], strict=True)] == pytest.approx([1.0, 0.75])
+    assert found[1].theta(found[1].amount(0.7)) == pytest.approx(0.7)
+    assert needs_time(scene, unknowns_of(scene, ["young"], []))
+    assert not needs_time(scene.with_values({"material.relaxation": []}), unknowns_of(scene, ["young"], []))
+
+
+def test_shares_leave_something_whatever_is_tried():
+    """0.9 and 0.9 are scaled down to 0.49 each, beside 0.2 that is not fitted to 0.39; what is less stays as it is."""
+    three = block(material__relaxation=[*TERMS, {"time": 50.0, "share": 0.2}])
+    for scene, most in ((block(material__relaxation=TERMS), 0.98), (three, 0.78)):
+        both = unknowns_of(scene, ["share.1", "share.2"], [])
+        theta = [one.theta(0.9) for one in both]
+        shares = [term["share"] for term in changes(both, scene, theta)["material.relaxation"]]
+        assert shares[:2] == pytest.approx([most / 2.0] * 2)
+        assert shares[2:] == [0.2] * (len(shares) - 2)
+        scene.with_values(changes(both, scene, theta))
+        np.testing.assert_allclose(
+            [one.amount(t) for one, t in zip(both, allowed(both, scene, theta), strict=True)], most / 2
+        )
+        less = [both[0].theta(0.5), both[1].theta(0.1)]
+        np.testing.assert_array_equal(allowed(both, scene, less), less)
+
+
+@for_each(
+    "terms, names, bounds, words",
+    [
+        ([], ["share.1"], {}, "share.1: the scene has no material.relaxation, allowed: a scene with terms"),
+        (TERMS, ["share.3"], {}, "got 'share.3', allowed with the 2 terms of material.relaxation: share.1, share.2"),
+        (TERMS, ["time"], {}, "got 'time', allowed with the 2 terms of material.relaxation: time.1, time.2"),
+        (TERMS, ["time.1", "time.1"], {}, "time.1: fitted twice"),
+        (TERMS, ["share.1"], {"share.1": (0.1, 1.0)}, "--bound: share.1: got 0.1:1"),
+        ([{"time": 1.0, "share": 0.0}], ["share.1"], {}, "share.1: it is 0 in the scene"),
+    ],
+)
+def test_terms_that_cannot_be_fitted_are_named(terms, names, bounds, words):
+    with pytest.raises(FitError) as error:
+        unknowns_of(block(material__relaxation=terms), names, [], bounds)
     assert words in str(error.value)
 
 

@@ -45,7 +45,9 @@ def numbers(result: Fingertip) -> dict[str, Any]:
         "lines": lines,
         "loads_n": result.loads,
         "tangential_n_per_m": result.tangential,
+        "unlimited_tangential_n_per_m": result.unlimited,
         "tangential_exponent": exponent(result.loads, result.tangential),
+        "tangential_exponents_at_first_loads": _exponents_at_first_loads(result),
         "area_exponent": _area_exponent(result),
         "shears": [
             {"load_n": s.load, "way_m": s.way, "force_n": s.force, "area_m2": s.area, "area_change": _change(s.area)}
@@ -67,9 +69,7 @@ def _of_stiffness(result: Fingertip) -> Finding:
     known, asked = _line(result, KNOWN), _line(result, FORCES)
     linear = known is not None and known.R2 >= LINEAR
     agrees = linear and known is not None and known.b > 0.0
-    reason = (
-        "" if agrees else "straight, but too soft at first" if linear else "softer at first, then stiffer than a line"
-    )
+    reason = "" if agrees else "straight, but b is below 0" if linear else "not straight"
     return Finding(
         "force grows exponentially with depth: k = b + m F, b and m above 0, from 0 to 2 N (Pawluk and Howe 1999)",
         f"{KNOWN[0]:g} to {KNOWN[1]:g} N: {known}; {FORCES[0]:g} to {FORCES[1]:g} N: {asked}",
@@ -81,12 +81,22 @@ def _of_stiffness(result: Fingertip) -> Finding:
 def _of_tangential(result: Fingertip) -> Finding:
     power = exponent(result.loads, result.tangential)
     agrees = abs(power - 1.0) <= PROPORTIONAL
+    limited, unlimited = _exponents_at_first_loads(result)
+    last = result.loads[len(result.unlimited) - 1]
+    reason = f"limits: to {last:g} N the power is {limited:.2f} with them, {unlimited:.2f} without"
     return Finding(
         "tangential stiffness is proportional to normal force (Pataky 2005)",
         f"it grows as the force to the power of {power:.2f}, {result.loads[0]:g} to {result.loads[-1]:g} N",
         agrees,
-        "" if agrees else "limits that are reached stiffen shear, more so with force",
+        "" if agrees else reason,
     )
+
+
+def _exponents_at_first_loads(result: Fingertip) -> tuple[float, float]:
+    """Of tangential stiffness over normal force, at the forces where it is known without limits: with them, without."""
+    count = len(result.unlimited)
+    loads = result.loads[:count]
+    return exponent(loads, result.tangential[:count]), exponent(loads, result.unlimited)
 
 
 def _of_shear(result: Fingertip) -> Finding:
@@ -158,10 +168,12 @@ def _area(axes: Axes, result: Fingertip) -> None:
 
 def _tangential(axes: Axes, result: Fingertip) -> None:
     axes.loglog(result.loads, 1e-3 * result.tangential, "o", color=MODEL, label="model")
+    loads = result.loads[: len(result.unlimited)]
+    axes.loglog(loads, 1e-3 * result.unlimited, "o", color=OTHER, mfc="none", label="without limits")
     middle = float(np.exp(np.mean(np.log(result.tangential / result.loads))))
     axes.loglog(result.loads, 1e-3 * middle * result.loads, color=LINE, lw=1.2, label="proportional")
     axes.set(xlabel="normal force F [N]", ylabel="tangential stiffness [N/mm]")
-    for axis, ticks in ((axes.xaxis, (0.25, 0.5, 1.0, 2.0, 5.0)), (axes.yaxis, (0.2, 0.5, 1.0, 2.0, 5.0))):
+    for axis, ticks in ((axes.xaxis, (0.25, 0.5, 1.0, 2.0, 5.0)), (axes.yaxis, (0.1, 0.2, 0.5, 1.0, 2.0, 5.0))):
         axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
         axis.set_ticks([], minor=True)
     axes.set_title("Tangential stiffness against force", fontsize=9)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,8 @@ STEP, DEEPEST = 5e-5, 3e-3
 """Between two points of the curve, and its end if no force of FORCES is reached before [m]."""
 LOADS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
 """Normal forces at which tangential stiffness is taken [N]."""
+UNLIMITED_LOADS = LOADS[:4]
+"""Those at which it is taken without limits, too [N]: more, and the bone is on the table."""
 SHEARED = (1.0, 4.0)
 """Normal forces that are held while the finger is sheared [N]."""
 SHEAR_STEP, SHEAR_END = 1e-4, 2.5e-3
@@ -53,6 +55,7 @@ class Fingertip:
     depth, force : (n,) of a flat press [m], [N]
     area         : (n,) of contact [m²], see print_area
     loads, tangential : normal forces (k,) [N] and tangential stiffness there before anything slips (k,) [N/m]
+    unlimited : the same stiffness without limits, at the first m of these forces (m,) [N/m]
     """
 
     friction: float
@@ -61,11 +64,13 @@ class Fingertip:
     area: Floats
     loads: Floats
     tangential: Floats
+    unlimited: Floats
     shears: list[Shear]
 
 
 def measured(scene: Scene, progress: Meter) -> Fingertip:
     """All of it. Raises NotAtRestError where the finger does not come to rest, SceneError without a table."""
+    without = at_rest(scene.with_values({"limits": None}))
     scene = at_rest(scene)
     press = Press(scene, ORIENTATIONS["flat"])
     rows: list[tuple[float, float, float]] = []
@@ -74,12 +79,8 @@ def measured(scene: Scene, progress: Meter) -> Fingertip:
         rows.append((press.depth, force, print_area(press)))
         progress(0.3 * min(1.0, force / FORCES[1]), 1.0)
     depth, force, area = np.array(rows).T
-    other = Press(scene, ORIENTATIONS["flat"])
-    stiffness = []
-    for k, load in enumerate(LOADS):
-        other.until(load)
-        stiffness.append(other.tangential())
-        progress(0.3 + 0.4 * (k + 1) / len(LOADS), 1.0)
+    stiffness = _tangential(scene, LOADS, lambda done, total: progress(0.3 + 0.3 * done / total, 1.0))
+    unlimited = _tangential(without, UNLIMITED_LOADS, lambda done, total: progress(0.6 + 0.1 * done / total, 1.0))
     shears = []
     for k, load in enumerate(SHEARED):
         shears.append(sheared(scene, load, depth, force))
@@ -87,8 +88,18 @@ def measured(scene: Scene, progress: Meter) -> Fingertip:
     plane = scene.plane
     assert plane is not None  # at_rest's Press needs one
     return Fingertip(
-        plane.friction, depth, force, area, np.array(LOADS), np.array(stiffness), shears
+        plane.friction, depth, force, area, np.array(LOADS), stiffness, unlimited, shears
     )  # fmt: skip
+
+
+def _tangential(scene: Scene, loads: Sequence[float], progress: Meter) -> Floats:
+    """Tangential stiffness at rising normal forces [N] of a flat press, (k,) [N/m]."""
+    press, found = Press(scene, ORIENTATIONS["flat"]), []
+    for load in loads:
+        press.until(load)
+        found.append(press.tangential())
+        progress(len(found), len(loads))
+    return np.array(found)
 
 
 def print_area(press: Press) -> float:

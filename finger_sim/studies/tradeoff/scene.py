@@ -76,7 +76,7 @@ def short(scene: Scene) -> dict[str, Any]:
         elif key == "mesh":
             out[key] = {name: item for name, item in value.items() if item is not None}
         elif isinstance(value, dict):
-            kept = {name: item for name, item in value.items() if item != default[name]}
+            kept = {name: item for name, item in value.items() if name not in default or item != default[name]}
             if kept or key in ("limits", "plane"):
                 out[key] = kept
         elif value != default:

@@ -26,7 +26,7 @@ def obedient() -> Fingertip:
     depth, force = exponential()
     loads, way = np.array([0.5, 1.0, 2.0]), np.linspace(0.0, 2e-3, 10)
     shears = [Shear(load, way, load * way, 1e-4 * (1.0 - 100.0 * way)) for load in (1.0, 4.0)]
-    return Fingertip(0.5, depth, force, 1e-4 * force ** (1 / 3), loads, 700.0 * loads, shears)
+    return Fingertip(0.5, depth, force, 1e-4 * force ** (1 / 3), loads, 700.0 * loads, 300.0 * loads[:2], shears)
 
 
 def test_a_law_is_found_in_its_own_curve():
@@ -61,12 +61,13 @@ def test_verdicts():
     assert [finding.agrees for finding in figure.findings(good)] == [True, True, True, None]
     depth = good.depth
     bad = Fingertip(
-        0.5, depth, 1.5e6 * depth**2, good.area, good.loads, 700.0 * good.loads**2,
+        0.5, depth, 1.5e6 * depth**2, good.area, good.loads, 700.0 * good.loads**2, good.unlimited,
         [Shear(s.load, s.way, s.force, s.area[::-1]) for s in good.shears],
     )  # fmt: skip
     verdicts = figure.findings(bad)
     assert [finding.agrees for finding in verdicts[:3]] == [False, False, False]
     assert all(finding.reason for finding in verdicts[:3])
+    assert verdicts[1].reason == "limits: to 1 N the power is 2.00 with them, 1.00 without"
     json.dumps(plain(figure.numbers(good)), allow_nan=False)
     assert len(figure.draw(good).axes) == 4
 
