@@ -322,7 +322,7 @@ def _take(course: Course, pose: Numbers, received: float, now: float, dt: float,
         late = late if late > EXACT else 0.0
         course.late[0] = late
     time = meant + course.offset[0] + late + dt
-    if course.holding.holds[0] != 0.0:
+    if course.holding.holds[0] != 0.0 and not stalls:
         time = held_ones.reached(course.holding, through.end_of(path), time, stood, cadence.interval[0], last)
         course.late[0] = max(0.0, time - dt - course.offset[0] - meant)
     through.append(path, end if abs(time - end) < EXACT else max(time, through.end_of(path) + 1e-9), pose)

@@ -2,7 +2,7 @@
 
 A command waits for the next deadline: half a period at the median, and from nothing to a whole one in turn, as the
 sender's clock and this one differ by a hair. So deadlines are moved until commands wait no longer than their jitter
-asks for: by no more than 1/100 of a period a step while they are far from there, as with a sender that has begun anew,
+asks for: by no more than 1/200 of a period a step while they are far from there, as with a sender that has begun anew,
 and by no more than 1/500 afterwards. Steps then follow the sender's clock.
 """
 
@@ -19,7 +19,7 @@ _OWN = 0.9  # share of steps with a command of their own from which on deadlines
 _STEPS = 256  # over so many, shares and jitter are taken
 _SHARE = 1.0 / 16.0  # of what a wait is off, by which deadlines are moved
 _MOST = 1.0 / 500.0  # of a period, likewise,
-_MOST_FAR = 1.0 / 100.0  # and where the last waits were far off
+_MOST_FAR = 1.0 / 200.0  # and where the last waits were far off
 _LATELY = 16  # steps over which that is judged
 _LEAST_WAIT = 5e-5  # that is aimed at [s]
 _SPREAD = 2.0  # mean deviations of the waits that are aimed at beyond it
