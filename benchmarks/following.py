@@ -1,8 +1,9 @@
 """What a device feels of commands that come less often than steps, and unevenly; and a picture of it.
 
 A hand in free air (loops at up to 0.3 m/s) and one that presses, with commands of so many a second, each late by up to
-so much of an interval; in one half of the runs the hand was sampled late, in the other its pose was only late on its
-way. The worse of both counts. Beside it the same path with a command for every step.
+so much of an interval, and with --hiccups now and then held up; in one half of the runs the hand was sampled late, in
+the other its pose was only late on its way. The worse of both counts. Beside it the same path with a command for every
+step.
 """
 
 from __future__ import annotations
@@ -25,6 +26,10 @@ BEGIN = 0.3
 """Part of a second that a path takes to set off."""
 CLEAR = 0.1
 """Height of the free hand [m]."""
+HICCUP = 6e-3
+"""For so long nothing comes [s], with --hiccups,"""
+BETWEEN = (0.15, 0.4)
+"""and from one such time to the next it takes between these [s]."""
 DEPTH = 3e-3
 """Of the press [m]."""
 
@@ -34,9 +39,11 @@ def main() -> None:
     parser.add_argument("--scene", default="finger_coupled", help="scene to follow with (default: %(default)s)")
     parser.add_argument("--rates", type=float, nargs="+", default=RATES, metavar="HZ", help="commands a second")
     parser.add_argument("--modes", nargs="+", default=MODES, choices=MODES, help="of coupling.following")
+    parser.add_argument("--hiccups", action="store_true", help=f"every {BETWEEN[0]:g} to {BETWEEN[1]:g} s nothing "
+                        f"comes for {1e3 * HICCUP:g} ms, then all at once")  # fmt: skip
     parser.add_argument("--plot", type=Path, metavar="PNG", help="picture to make")
     args = parser.parse_args()
-    study = Study(Scene.load(args.scene))
+    study = Study(Scene.load(args.scene), args.hiccups)
     smooth = {name: study.run(name, "auto", 1000.0, 0.0, 0)[0] for name in ("free", "press")}
     peaks = {name: largest(device) for name, (device, _) in smooth.items()}
     rises = {name: largest_change(device) for name, (device, _) in smooth.items()}
@@ -74,8 +81,8 @@ def main() -> None:
 class Study:
     """One scene, followed in many ways."""
 
-    def __init__(self, scene: Scene) -> None:
-        self._simulator = Simulator(scene)
+    def __init__(self, scene: Scene, hiccups: bool) -> None:
+        self._simulator, self._hiccups = Simulator(scene), hiccups
         self._turn = scene.initial_pose.orientation
         self._touch = -float((self._simulator.mesh.points @ matrix(self._turn).T)[:, 2].min())
 
@@ -100,6 +107,11 @@ class Study:
         random = np.random.default_rng(1)
         sampled = np.arange(int(SECONDS * rate)) / rate
         received = sampled + jitter / rate * random.random(len(sampled)) * (sampled > 0.0)
+        if self._hiccups and rate * jitter > 0.0:
+            at = 0.1
+            while at < SECONDS:
+                received[(received >= at) & (received < at + HICCUP)] = at + HICCUP
+                at += random.uniform(*BETWEEN)
         waiting = [(r, self.hand(name, s if late else r)) for s, r in zip(sampled, received, strict=True)]
         simulator.reset(waiting[0][1])
         device, contact, path = [], [], []

@@ -10,7 +10,8 @@ the next one is always there before the path ends:
                                     bone, `delay` behind
 
 The delay is the longest that a command lately had to last until the next one was there: one interval for commands that
-come evenly, nothing where every step gets a command of its own. The mean of the path over a short window takes its
+come evenly, nothing where every step gets a command of its own. Commands that come as often as steps, but unevenly,
+`auto` holds instead: see holding.py. The mean of the path over a short window takes its
 corners off: from one straight piece to the next the velocity changes evenly over the window (linear segments with
 parabolic blends: Craig, Introduction to Robotics, section 7.3).
 
@@ -32,9 +33,11 @@ from ..physics.compile import formula, kernel, stage
 from ..physics.records import direct, held, side_by_side
 from ..scene import Pose
 from . import cadence as timing
+from . import holding as held_ones
 from . import path as through
 from . import prediction as ahead
 from .cadence import Cadence, Rhythm, build_cadence, rhythm
+from .holding import EXACT, REGAIN, Holding, build_holding
 from .path import Numbers, Path, build_path, distance, numbers, on_side, pose_of, read, side_near, write
 from .prediction import Prediction, build_prediction
 
@@ -59,8 +62,6 @@ CATCHING_UP = 0.1
 """Time constant with which the path follows a jump of time [s]."""
 CLOCK_SET = 1.0
 """From so large a jump on [s] it is no loop that skipped steps, but a clock that was set; back, from PAUSE on."""
-EXACT = 1e-6
-"""Times nearer to each other than this are one [s]: a log has whole nanoseconds, simulated time none."""
 STALL, CAUGHT_UP = 2.5, 0.5
 """Steps by which time has to jump to be a loop that skipped some, and up to which it is still behind then."""
 HEARD = 4096
@@ -98,16 +99,18 @@ class Course(NamedTuple):
     waiting: Ints
     path: Path
     cadence: Cadence
+    holding: Holding
     prediction: Prediction
 
 
 def build_course() -> Course:
     """One to be put at rest."""
     fields: dict[str, Any] = {
-        **side_by_side(Course, pose=7, before=7, last=7, heard=0, waiting=0, path=0, cadence=0, prediction=0)
+        **side_by_side(Course, pose=7, before=7, last=7, heard=0, waiting=0, path=0, cadence=0, holding=0, prediction=0)
     }
     fields |= {"heard": np.zeros((HEARD, 8)), "waiting": np.zeros(1, np.int64)}
-    return Course(**fields | {"path": build_path(), "cadence": build_cadence(), "prediction": build_prediction()})
+    fields |= {"path": build_path(), "cadence": build_cadence(), "holding": build_holding()}
+    return Course(**fields | {"prediction": build_prediction()})
 
 
 class Follower:
@@ -162,8 +165,11 @@ class Follower:
         return float(course.late[0] + 0.5 * course.window[0]) if following in ("linear", "auto") else 0.0
 
     def mode(self, following: Following) -> Following:
-        """What is in use: `auto` holds where nothing has to be waited for."""
-        return following if following != "auto" else "linear" if self.delay(following) > EXACT else "hold"
+        """What is in use: `auto` holds where commands come as often as steps; see holding.py."""
+        if following != "auto":
+            return following
+        waits = self.course.holding.holds[0] == 0.0 and self.delay(following) > EXACT
+        return "linear" if waits else "hold"
 
 
 @kernel
@@ -176,6 +182,7 @@ def rest(course: Course, pose: Numbers, goal: Numbers) -> None:
     course.offset[0] = math.nan
     course.waiting[0] = 0
     course.cadence.commands[0] = -1.0
+    held_ones.begin(course.holding)
     through.set_out(course.path, 0.0, pose)
     ahead.rest(course.prediction, pose)
     if goal != pose:
@@ -201,6 +208,8 @@ def advance(course: Course, following: int, now: float, dt: float) -> None:
     Where the bone is wanted then is in course.pose.
     """
     begin, path = course.time[0], course.path
+    if following != AUTO:
+        course.holding.holds[0] = 0.0
     stalls = _keep_time(course, now, begin, dt)
     if math.isnan(now):
         now = begin - course.offset[0]
@@ -235,7 +244,10 @@ def _keep_time(course: Course, now: float, begin: float, dt: float) -> bool:
     if abs(behind) <= EXACT or not -PAUSE < behind < CLOCK_SET:  # or it is the first time
         course.offset[0], course.stalled[0] = offset, 0.0
         return False
-    course.offset[0] -= behind * min(1.0, dt / CATCHING_UP)
+    part = dt / CATCHING_UP
+    if course.holding.holds[0] != 0.0:
+        part = max(part, REGAIN * dt / abs(behind))
+    course.offset[0] -= behind * min(1.0, part)
     stalled: bool = behind > (CAUGHT_UP if course.stalled[0] != 0.0 else STALL) * dt
     course.stalled[0] = 1.0 if stalled else 0.0
     return stalled
@@ -291,7 +303,11 @@ def _take(course: Course, pose: Numbers, received: float, now: float, dt: float,
     before = cadence.time[0]
     meant = timing.hear(cadence, received, begin - course.offset[0], at)  # a stalled loop does not use up the path
     ahead.hear(course.prediction, meant, at, cadence.interval[0], cadence.waits.largest[0])
-    if through.end_of(path) < begin - EXACT:
+    wait = begin - course.offset[0] - before
+    held_ones.judge(course.holding, following == AUTO, cadence.interval[0], wait, dt)
+    held_ones.keep(course.holding, meant, at, dt)
+    stood = through.end_of(path) < begin - EXACT
+    if stood:
         course.late[0] = max(0.0, begin - dt - (before + course.offset[0]))
         through.stand(path, begin)
     if following == HOLD:
@@ -299,11 +315,16 @@ def _take(course: Course, pose: Numbers, received: float, now: float, dt: float,
         through.append(path, received + course.offset[0] + dt if stalls else end, pose)
         return
     wanted, most, late = max(0.0, cadence.waits.largest[0] - dt), SLEW * (meant - before), course.late[0]
+    if course.holding.holds[0] != 0.0:
+        wanted, most, meant = course.holding.late[0], REGAIN * (meant - before), min(meant, now)
     if wanted != late:
         late += min(max(wanted - late, -most), most)
         late = late if late > EXACT else 0.0
         course.late[0] = late
     time = meant + course.offset[0] + late + dt
+    if course.holding.holds[0] != 0.0 and not stalls:
+        time = held_ones.reached(course.holding, through.end_of(path), time, stood, cadence.interval[0], last)
+        course.late[0] = max(0.0, time - dt - course.offset[0] - meant)
     through.append(path, end if abs(time - end) < EXACT else max(time, through.end_of(path) + 1e-9), pose)
 
 
@@ -317,6 +338,8 @@ def _begin(course: Course, pose: Numbers, at: Numbers, received: float, now: flo
         takes = min(RESUME, way / RESUME_SPEED) if way > RESUME_SPEED * dt and following != HOLD else 0.0
         course.late[0] = takes + min(now - received, PAUSE) if takes > 0.0 else 0.0
     timing.begin(cadence, received, at)
+    held_ones.begin(course.holding)
+    held_ones.keep(course.holding, received, at, dt)
     ahead.begin(course.prediction, received, at, RESUME)
     through.stand(path, end - dt)
     through.append(path, end + takes, pose)
@@ -328,7 +351,8 @@ def _widen(course: Course, begin: float, dt: float, following: int) -> None:
     cadence, window, wanted = course.cadence, course.window[0], 0.0
     if cadence.commands[0] >= 0.0 and following != HOLD:
         wait = max(0.0, cadence.waits.largest[0] - dt) if cadence.interval[0] > 0.0 else course.late[0]
-        wanted = min(wait + timing.spread(cadence), LONGEST_WINDOW) if wait > EXACT else 0.0
+        if wait > EXACT and course.holding.holds[0] == 0.0:
+            wanted = min(wait + timing.spread(cadence), LONGEST_WINDOW)
     if wanted != window:
         most = WINDOW_SLEW * dt
         if through.stands(course.path, begin - max(wanted, window), begin):

@@ -14,7 +14,7 @@ from ..arrays import Floats
 from ..physics.compile import kernel, stage
 from ..physics.records import side_by_side
 from ..physics.turns import matrix_entries
-from . import following, path
+from . import following, holding, path
 from .coupling import LONGEST_GAP, allowed_part, between_numbers, height, way_and_turn
 from .following import HOLD, Course
 from .path import read, turn, write
@@ -92,7 +92,11 @@ def advance(lead: Lead, mode: int, now: float, dt: float, part: float) -> int:
     write(lead.start, start)
     write(lead.end, end)
     if lead.yields[0] != 0.0:
-        _measure(lead, mode, dt)
+        if told & LIMITED or not holding.measures(course.holding):
+            _measure(lead, mode, dt)
+        else:
+            lead.jumps[0] = 0.0
+            holding.velocity(course.holding, course.time[0] - course.offset[0], dt, lead.fastest, lead.velocity)
     put(lead, part)
     if end != start:
         told |= MOVES

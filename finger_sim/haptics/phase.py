@@ -1,8 +1,9 @@
 """When steps begin: where each has a command of its own, just after that has come.
 
 A command waits for the next deadline: half a period at the median, and from nothing to a whole one in turn, as the
-sender's clock and this one differ by a hair. So deadlines are moved, by no more than 1/500 of a period a step, until
-commands wait no longer than their jitter asks for. Steps then follow the sender's clock.
+sender's clock and this one differ by a hair. So deadlines are moved until commands wait no longer than their jitter
+asks for: by no more than 1/200 of a period a step while they are far from there, as with a sender that has begun anew,
+and by no more than 1/500 afterwards. Steps then follow the sender's clock.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from ..physics.compile import kernel
 _OWN = 0.9  # share of steps with a command of their own from which on deadlines are moved
 _STEPS = 256  # over so many, shares and jitter are taken
 _SHARE = 1.0 / 16.0  # of what a wait is off, by which deadlines are moved
-_MOST = 1.0 / 500.0  # of a period, likewise
+_MOST = 1.0 / 500.0  # of a period, likewise,
+_MOST_FAR = 1.0 / 200.0  # and where the last waits were far off
+_LATELY = 16  # steps over which that is judged
 _LEAST_WAIT = 5e-5  # that is aimed at [s]
 _SPREAD = 2.0  # mean deviations of the waits that are aimed at beyond it
 _FAR = 0.125  # of a period: deviations beyond count as this one, few late commands make none wait
@@ -27,16 +30,18 @@ class Phase(NamedTuple):
     """How commands come beside deadlines; (1,) each.
 
     own    : share of the last steps that had a command of their own
+    off    : mean of the last waits beyond what was aimed at [s]
     spread : mean deviation of the last waits from what was aimed at [s]
     """
 
     own: Floats
+    off: Floats
     spread: Floats
 
 
 def no_phase(period: float) -> Phase:
     """Of a loop that has not begun. period [s]."""
-    return Phase(np.zeros(1), np.full(1, 0.25 * period))
+    return Phase(np.zeros(1), np.zeros(1), np.full(1, 0.25 * period))
 
 
 @kernel
@@ -52,5 +57,7 @@ def moved(phase: Phase, period: float, wait: float) -> float:
     aim = min(_LEAST_WAIT + _SPREAD * spread[0], 0.5 * period)
     off = (wait - aim + 0.5 * period) % period - 0.5 * period
     spread[0] += (min(abs(off), _FAR * period) - spread[0]) / _STEPS
-    by: float = -max(-_MOST * period, min(_MOST * period, _SHARE * off))
+    phase.off[0] += (off - phase.off[0]) / _LATELY
+    most = (_MOST_FAR if abs(phase.off[0]) > _FAR * period else _MOST) * period
+    by: float = -max(-most, min(most, _SHARE * off))
     return by

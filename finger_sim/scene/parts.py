@@ -312,7 +312,7 @@ class Coupling:
     )
     following: Literal["auto", "hold", "linear", "predict"] = field(
         "choice",
-        "auto: linear, or hold where each step has a command; hold: jumps; linear: a path, one interval late; "
+        "auto: linear, or held where commands come as often as steps; hold: jumps; linear: a path, one interval late; "
         "predict: where the hand must be by now",
         default="auto",
         choices=("auto", "hold", "linear", "predict"),

@@ -96,7 +96,7 @@ def test_even_commands_are_joined_by_straight_lines(rate: float) -> None:
 
 @for_each("late", [False, True])
 @for_each("jitter", [0.0, 0.2, 0.5])
-@for_each("rate", [20.0, 66.0, 250.0, 1000.0])
+@for_each("rate", [20.0, 66.0, 250.0, 500.0])
 def test_a_smooth_hand_is_followed_smoothly(rate: float, jitter: float, late: bool) -> None:
     """However its poses come: 3 N s/m of a coupling feel no change of 0.05 N in a step, 0.1 N at 20 Hz."""
     commands = stream(rate, jitter, 3.0, late=late)
@@ -105,7 +105,7 @@ def test_a_smooth_hand_is_followed_smoothly(rate: float, jitter: float, late: bo
     true = np.array([hand(k * MS).position for k in range(-150, len(path))])
     behind = min(np.linalg.norm(path[500:] - true[650 - lag : len(true) - lag], axis=1).max() for lag in range(120))
     assert behind < 2e-4 + 0.1 / rate
-    if rate < 1000.0 and jitter == 0.2 and late:
+    if rate < 500.0 and jitter == 0.2 and late:
         assert 3.0 * jerk(positions(commands, "hold", 2.8)) > 0.3
 
 
@@ -113,7 +113,7 @@ def test_the_delay_is_no_longer_than_commands_make_it() -> None:
     """Of even ones one interval and half the window, of uneven ones the longest interval; none for one a step."""
     for rate, jitter, least, most in (
         (20.0, 0.0, 0.061, 0.062), (66.0, 0.0, 0.021, 0.023), (500.0, 0.0, 0.0014, 0.0016),
-        (66.0, 0.5, 0.021, 0.036), (1000.0, 0.5, 0.0005, 0.0025), (1000.0, 0.0, 0.0, 0.0),
+        (66.0, 0.5, 0.021, 0.036), (1000.0, 0.5, 0.0005, 0.001), (1000.0, 0.0, 0.0, 0.0),
     ):  # fmt: skip
         *_, follower = followed(stream(rate, jitter, 2.1), "auto", 2.0)
         assert least <= follower.delay("auto") <= most, (rate, jitter)
