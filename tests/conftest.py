@@ -25,7 +25,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if folder(item) == "ros":
             item.add_marker("ros")
-    items.sort(key=lambda item: (folder(item) != "ros", folder(item) not in WITHOUT_KERNELS, not _in_browser(item.path)))
+    items.sort(
+        key=lambda item: (folder(item) != "ros", folder(item) not in WITHOUT_KERNELS, not _in_browser(item.path))
+    )
 
 
 def _in_browser(file: Path) -> bool:

@@ -21,7 +21,7 @@ NONE, OF_A, OF_ANOTHER = range(3)  # factors at hand: none; of A as it is and no
 def factor_elastic(model: Model, state: State) -> bool:
     """Factors of A alone. False if A is not positive definite."""
     load_elastic(model, state)
-    definite = factor(model.pattern, state.L_diagonal, state.L_lower, state.L_inverse)
+    definite = factor(model.pattern, state.L_blocks, state.L_inverse)
     state.newton.factors[0] = OF_A if definite else NONE
     return definite
 
@@ -83,7 +83,7 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int) -> 
                     add_outer(L, place, load4(J, row, i) * weight, J, row, k)
     if patched:
         add_patch_rows(model, state, D, L)
-    definite = factor(model.pattern, D, L, state.L_inverse)
+    definite = factor(model.pattern, state.L_blocks, state.L_inverse)
     if definite and model.has_bone:
         definite = factor_bone(model, state, h, contacts, rows)
     own.factors[0] = OF_ANOTHER if definite else NONE

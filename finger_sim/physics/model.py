@@ -18,8 +18,9 @@ class Pattern(NamedTuple):
     start: Ints  # (nf + 1,) first block of each column of L
     row: Ints  # (nnz,) slot of each block's row, ascending in a column
     panel: Ints  # (panels + 1,) first column of each panel
-    target: Ints  # (updates,) the off-diagonal blocks that `factor` subtracts from, in its order
+    target: Ints  # (4 k,) the blocks that `factor` subtracts from, in its order and numbers
     work: Floats  # (most blocks in a panel, 3, 4) L D of the panel that `factor` is at
+    pairs: Floats  # (half as many, 3, 8) its L, two rows side by side
     worth: int  # about how many iterations of Newton's method take as long as new factors
 
 
@@ -295,8 +296,9 @@ class State(NamedTuple):
     rhs: Floats  # (slots, 4)
     slot_velocity: Floats  # (slots, 4) velocities in slot order
     slot_product: Floats  # (slots, 4) scratch
-    L_diagonal: Floats  # (nf, 3, 4) factorisation: D
-    L_lower: Floats  # (nnz, 3, 4) L below its diagonal
+    L_blocks: Floats  # (nf + nnz + 1, 3, 4) factorisation: see linear_solver.factor
+    L_diagonal: Floats  # (nf, 3, 4) of it: D
+    L_lower: Floats  # (nnz, 3, 4) of it: L below its diagonal
     L_inverse: Floats  # (nf, 3, 4) D⁻¹
 
     # The rows of contact, then those of limits.

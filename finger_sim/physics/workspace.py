@@ -127,6 +127,8 @@ def _saved(model: Model, size: _Sizes) -> dict[str, Any]:
 
 def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
     again = size.nodes if model.relinearizations or not size.pgs else 0
+    below = len(model.pattern.row)
+    blocks = aligned(size.free + below + 1, 3, 4)
     return {
         "x_start": aligned(again, 4),
         "v_start": aligned(again, 4),
@@ -145,8 +147,9 @@ def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
         "rhs": aligned(size.slots, 4),
         "slot_velocity": aligned(size.slots, 4),
         "slot_product": aligned(size.slots, 4),
-        "L_diagonal": aligned(size.free, 3, 4),
-        "L_lower": aligned(len(model.pattern.row), 3, 4),
+        "L_blocks": blocks,
+        "L_diagonal": blocks[: size.free],
+        "L_lower": blocks[size.free : size.free + below],
         "L_inverse": aligned(size.free, 3, 4),
     }
 
