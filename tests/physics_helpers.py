@@ -192,14 +192,18 @@ def healthy(out: StepResult) -> bool:
 
 
 def loaded(edges: Any, A: Array) -> tuple[Any, Array, Array, Array]:
-    """The pattern of the graph and A's blocks in its slots, by columns; their padding is rubbish to be ignored."""
+    """The pattern of the graph, A's blocks in its slots, by columns, those below the diagonal again, and room for D⁻¹.
+
+    What pads blocks, and the block that nobody wants, is rubbish to be ignored.
+    """
     nodes = len(A) // 3
     blocks = A.reshape(nodes, 3, nodes, 3)
     pattern = analyse(edges, nodes)
     order = pattern.order
-    diagonal, lower = np.full((nodes, 3, 4), 7.0), np.full((len(pattern.row), 3, 4), -7.0)
+    given = np.full((nodes + len(pattern.row) + 1, 3, 4), 7.0)
+    diagonal, lower = given[:nodes], given[nodes:-1]
     for column in range(nodes):
         diagonal[column, :, :3] = blocks[order[column], :, order[column], :].T
         for p in range(pattern.start[column], pattern.start[column + 1]):
             lower[p, :, :3] = blocks[order[pattern.row[p]], :, order[column], :].T
-    return pattern, diagonal, lower, np.zeros((nodes, 3, 4))
+    return pattern, given, lower, np.zeros((nodes, 3, 4))

@@ -69,7 +69,7 @@ def _numbered(rows: Ints, columns: Ints, nf: int, pattern: Pattern) -> tuple[Int
     below = exists & (rows != columns)
     numbers, inverse = np.unique(rows[below] * nf + columns[below], return_inverse=True)
     row, column = numbers // nf, numbers % nf
-    place_of = np.array([block_of(pattern, int(r), int(c)) for r, c in zip(row, column, strict=True)], np.int64)
+    place_of = np.array([nf + block_of(pattern, int(r), int(c)) for r, c in zip(row, column, strict=True)], np.int64)
     block, place = np.full(len(rows), -1, np.int64), np.full(len(rows), -1, np.int64)
     diagonal = exists & (rows == columns)
     block[diagonal] = place[diagonal] = rows[diagonal]

@@ -51,6 +51,8 @@ OPTIONS = (
     "LLVM_REFPRUNE_FLAGS", "ENABLE_PROFILING",
 )  # fmt: skip
 """Settings of numba (NUMBA_…) that change the machine code."""
+REGISTERS_OF_EIGHT = "+avx512f" in (numba.config.CPU_FEATURES or llvmlite.binding.get_host_cpu_features().flatten())
+"""Whether a vector of eight numbers is one register, of 32, and not two of 16."""
 DONE = "compiled"
 """Stands in a folder whose kernels a simulator once had all."""
 LOCK = "compiling"

@@ -129,7 +129,7 @@ def add_patch_forces(model: Model, state: State, h: float, r: Floats) -> None:
 
 
 @stage
-def add_patch_rows(model: Model, state: State, D: Floats, L: Floats) -> None:
+def add_patch_rows(model: Model, state: State, blocks: Floats) -> None:
     """Add to the Hessian's blocks what limit rows have of their patches' other nodes.
 
     Of a row with the weight w, J at its own nodes and α: w α (J Gᵀ + G Jᵀ) + w α² G Gᵀ. state.patch_cross has the sums
@@ -144,11 +144,10 @@ def add_patch_rows(model: Model, state: State, D: Floats, L: Floats) -> None:
         half = 0.5 * square[p]
         g, c = load4(G, row, 0), load4(cross, row, 0)
         a = c + g * half
-        block = D if own.slot[row] == own.slot[column] else L
         for j in range(3):
             other = G[column, j]
             mixed = cross[column, j] + half * other
-            store4(block, place[k], j, load4(block, place[k], j) + (a * other + g * mixed))
+            store4(blocks, place[k], j, load4(blocks, place[k], j) + (a * other + g * mixed))
 
 
 @stage

@@ -19,7 +19,7 @@ from .model import Pattern
 FEWEST_WORTH, PRODUCTS = 5, 6
 """Iterations that new factors are worth at least: their matrix costs some. Products of blocks that `factor` makes while
 an iteration passes over a block of L."""
-WIDEST = 8  # columns of a panel: two rows and a column of it are read from the first cache again and again
+WIDEST = 16  # columns of a panel: two rows and two columns of it are read from a near cache again and again
 
 
 def analyse(edges: Ints, nodes: int) -> Pattern:
@@ -34,13 +34,15 @@ def analyse(edges: Ints, nodes: int) -> Pattern:
     row = np.concatenate([*columns, np.empty(0, np.int64)])
     panel = _panels(columns)
     rows_below = [columns[last - 1] for last in panel[1:]]
-    wanted = np.concatenate([_updates(rows, nodes) for rows in rows_below] + [np.empty(0, np.int64)])
-    target = np.searchsorted(np.repeat(np.arange(nodes), lengths) * nodes + row, wanted)
     widths = np.diff(panel)
-    size = max((int(w * (w + len(rows))) for w, rows in zip(widths, rows_below, strict=True)), default=0)
+    wanted = [_updates(rows, int(w), nodes) for rows, w in zip(rows_below, widths, strict=True)]
+    target = _places(np.concatenate([*wanted, np.empty(0, np.int64)]), np.repeat(np.arange(nodes), lengths), row, nodes)
+    pairs = max((int(w * ((w + len(rows)) // 2 + 2)) for w, rows in zip(widths, rows_below, strict=True)), default=0)
     products = int((lengths * (lengths + 1)).sum()) // 2
     worth = max(FEWEST_WORTH, products // (PRODUCTS * max(1, len(row))))
-    return Pattern(order, _inverse(order), start, row, panel, target, aligned(size, 3, 4), worth)
+    return Pattern(
+        order, _inverse(order), start, row, panel, target, aligned(2 * pairs, 3, 4), aligned(pairs, 3, 8), worth
+    )
 
 
 def _inverse(permutation: Ints) -> Ints:
@@ -99,10 +101,24 @@ def _panels(columns: list[Ints]) -> Ints:
     return np.array([*firsts, len(columns)], np.int64)
 
 
-def _updates(rows: Ints, nodes: int) -> Ints:
-    """column * nodes + row of the off-diagonal blocks between a panel's rows: column after column."""
-    column, row = np.triu_indices(len(rows), 1)
-    return np.asarray(rows[column] * nodes + rows[row], np.int64)
+def _updates(rows: Ints, width: int, nodes: int) -> Ints:
+    """column * nodes + row of what `factor` subtracts a panel's products from: two columns and two rows at a time.
+
+    rows: below the panel. −1: above the diagonal, or in no column or row below the panel.
+    """
+    first = width // 2
+    column, row = np.triu_indices((width + len(rows) + 1) // 2 - first)
+    at = np.concatenate([np.full(width - 2 * first, -1), rows, [-1]])
+    c, r = (2 * column[:, None] + [0, 0, 1, 1], 2 * row[:, None] + [0, 1, 0, 1])
+    c, r = np.where(r < c, -1, at[c]).reshape(-1), at[r].reshape(-1)
+    return np.where((c < 0) | (r < 0), -1, c * nodes + r)
+
+
+def _places(wanted: Ints, column: Ints, row: Ints, nodes: int) -> Ints:
+    """Where `factor` has the blocks `wanted` (`_updates`), of L's blocks by columns and rows: see there."""
+    below = nodes + np.searchsorted(column * nodes + row, wanted)
+    place = np.where(wanted // nodes == wanted % nodes, wanted % nodes, below)
+    return np.asarray(np.where(wanted < 0, nodes + len(row), place))
 
 
 def block_of(pattern: Pattern, row_slot: int, column_slot: int) -> int:

@@ -6,11 +6,13 @@ from ..arrays import Floats
 from .border import factor_bone
 from .compile import formula, stage
 from .dilatation import add_patch_rows
-from .lanes import Lanes, lane, load4, splat4, store4
+from .lanes import Lanes, bits, lane, load4, scatter3x4, splat4, sqrt, store4, where
 from .linear_solver import factor
 from .methods import TENSOR
 from .model import Model, State
-from .tensor_rows import pack_rows
+from .squares import add_squares
+from .tensor_limit import at_node
+from .tensor_rows import STIFFNESS, gradient_of, load_group, pack_rows
 from .vectors import clear
 from .work import FACTORISATIONS
 
@@ -21,7 +23,7 @@ NONE, OF_A, OF_ANOTHER = range(3)  # factors at hand: none; of A as it is and no
 def factor_elastic(model: Model, state: State) -> bool:
     """Factors of A alone. False if A is not positive definite."""
     load_elastic(model, state)
-    definite = factor(model.pattern, state.L_diagonal, state.L_lower, state.L_inverse)
+    definite = factor(model.pattern, state.L_blocks, state.L_inverse)
     state.newton.factors[0] = OF_A if definite else NONE
     return definite
 
@@ -29,40 +31,56 @@ def factor_elastic(model: Model, state: State) -> bool:
 @stage
 def load_elastic(model: Model, state: State) -> None:
     """A to where it is factored."""
-    nf, A, D, L, block_place = model.free.shape[0], state.A, state.L_diagonal, state.L_lower, model.block_place
+    nf, A, blocks, block_place = model.free.shape[0], state.A, state.L_blocks, model.block_place
     for k in range(nf):
         for j in range(3):
-            store4(D, k, j, load4(A, k, j))
-    for p in range(L.shape[0]):
+            store4(blocks, k, j, load4(A, k, j))
+    for p in range(nf, blocks.shape[0]):
         for j in range(3):
-            store4(L, p, j, splat4(0.0))
+            store4(blocks, p, j, splat4(0.0))
     for p in range(block_place.shape[0]):
         for j in range(3):
-            store4(L, block_place[p], j, load4(A, nf + p, j))
+            store4(blocks, block_place[p], j, load4(A, nf + p, j))
     state.work[FACTORISATIONS] += 1
 
 
 @stage
 def refactor(model: Model, state: State, h: float, contacts: int, rows: int) -> bool:
     """Factors of H at the rows that hold now (`stiffness`). False if H is not positive definite."""
-    own, J, D, L, row_slot, row_tet = (
-        state.newton, state.J, state.L_diagonal, state.L_lower, state.row_slot, state.row_tet
-    )  # fmt: skip
-    tet_place, pair_row, pair_column = model.tet_place, model.pair_row, model.pair_column
+    own, J, blocks, row_slot = state.newton, state.J, state.L_blocks, state.row_slot
     stiffness, slip = own.stiffness, own.slip
-    if model.projection == TENSOR:
-        rows = pack_rows(model, state, contacts, True)
     load_elastic(model, state)
     for c in range(contacts // 3):
         row = 3 * c
         if stiffness[row] > 0.0 or stiffness[row + 1] > 0.0:
             normal, tangent = h * h * stiffness[row], h * h * stiffness[row + 1]
-            add_contact(D, row_slot[row, 0], J, row, load4(slip, c, 0), normal, tangent)
+            add_contact(blocks, row_slot[row, 0], J, row, load4(slip, c, 0), normal, tangent)
+    patched = model.patches.volume.shape[0] > 0
+    if patched:
+        clear(state.patch_cross)
+        state.patch_force[:] = 0.0
+    if model.projection == TENSOR:
+        add_tensor_rows(model, state, h)
+    else:
+        add_limit_rows(model, state, h, contacts, rows)
+    if patched:
+        add_patch_rows(model, state, blocks)
+    definite = factor(model.pattern, blocks, state.L_inverse)
+    if definite and model.has_bone:
+        if model.projection == TENSOR:
+            rows = pack_rows(model, state, contacts, True)
+        definite = factor_bone(model, state, h, contacts, rows)
+    own.factors[0] = OF_ANOTHER if definite else NONE
+    return definite
+
+
+@stage
+def add_limit_rows(model: Model, state: State, h: float, contacts: int, rows: int) -> None:
+    """h² Jᵀ J / ε of limits on principal stretches that hold to the Hessian; for patches, see `add_patch_rows`."""
+    J, row_tet, stiffness, blocks = state.J, state.row_tet, state.newton.stiffness, state.L_blocks
+    tet_place, pair_row, pair_column = model.tet_place, model.pair_row, model.pair_column
     patched, patches, entries = model.patches.volume.shape[0] > 0, model.patches.lane, model.patches.tet_place
     cross, square, row_part = state.patch_cross, state.patch_force, state.row_part
-    if patched:
-        clear(cross)
-        square[:] = 0.0
     for row in range(contacts, rows):
         if stiffness[row] > 0.0:
             weight, t = h * h * stiffness[row], row_tet[row]
@@ -74,29 +92,50 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int) -> 
                     store4(cross, k, 0, load4(cross, k, 0) + load4(J, row, n) * (weight * part))
             for e in range(10):
                 place = tet_place[t, e]
-                if place < 0:
-                    continue
-                i, k = pair_row[t, e], pair_column[t, e]
-                if i == k:
-                    add_outer(D, place, load4(J, row, i) * weight, J, row, k)
-                else:
-                    add_outer(L, place, load4(J, row, i) * weight, J, row, k)
-    if patched:
-        add_patch_rows(model, state, D, L)
-    definite = factor(model.pattern, D, L, state.L_inverse)
-    if definite and model.has_bone:
-        definite = factor_bone(model, state, h, contacts, rows)
-    own.factors[0] = OF_ANOTHER if definite else NONE
-    return definite
+                if place >= 0:
+                    add_outer(blocks, place, load4(J, row, pair_row[t, e]) * weight, J, row, pair_column[t, e])
+
+
+@stage
+def add_tensor_rows(model: Model, state: State, h: float) -> None:
+    """The same of the `tensor` limit: all rows of a tetrahedron at once, four tetrahedra side by side."""
+    tensor, g, parts = state.tensor, state.tensor.lane_J, state.tensor.lane_part
+    first, row, forces, keys, none = tensor.first, tensor.row, tensor.lam, tensor.key, splat4(0.0)
+    patched, patches, entries = model.patches.volume.shape[0] > 0, model.patches.lane, model.patches.tet_place
+    cross, square = state.patch_cross, state.patch_force
+    for four in range(first.shape[0] - 1):
+        held = count = 0
+        for k in range(first[four], first[four + 1]):
+            holds = load4(forces, k, 0) > 0.0
+            if bits(holds) == 0:
+                continue
+            held |= bits(holds)
+            weight = where(holds, h * sqrt(load4(row, k, STIFFNESS)), none)
+            slope = load_group(tensor.slope, k)
+            for n in range(4):
+                x, y, z = at_node(slope, gradient_of(model.lane_gradients, four // 2, n, four % 2))
+                scatter3x4(g, 4 * count + n, x * weight, y * weight, z * weight)
+            store4(parts, count, 0, weight * ((2.0 * (keys[k] % 2) - 1.0) * (1.0 / 3.0)))
+            count += 1
+        for l in range(4):
+            if (held >> l) & 1:
+                t = 4 * four + l
+                add_squares(model, state.L_blocks, model.tet_place, t, g, l, count)
+                for k in range(count if patched else 0):
+                    part = parts[k, l]
+                    square[patches[t // 8, t % 8]] += part * part
+                    for n in range(4):
+                        p = entries[t, n]
+                        store4(cross, p, 0, load4(cross, p, 0) + load4(g, l, 4 * k + n) * part)
 
 
 @formula
-def add_contact(D: Floats, slot: int, frame: Floats, row: int, s: Lanes, normal: float, tangent: float) -> None:
+def add_contact(blocks: Floats, slot: int, frame: Floats, row: int, s: Lanes, normal: float, tangent: float) -> None:
     """normal · n nᵀ + tangent · (I − n nᵀ − s sᵀ) onto a node's block; n t₁ t₂: frame[row …], s: slip direction."""
     n, t1, t2 = load4(frame, row, 0), load4(frame, row + 1, 0), load4(frame, row + 2, 0)
     for j in range(3):
         column = n * (normal * lane(n, j)) + (t1 * lane(t1, j) + t2 * lane(t2, j) - s * lane(s, j)) * tangent
-        store4(D, slot, j, load4(D, slot, j) + column)
+        store4(blocks, slot, j, load4(blocks, slot, j) + column)
 
 
 @formula

@@ -157,6 +157,26 @@ def fill4(a: Floats, i: int, k: int) -> Lanes:
     return np.full(4, float(a.reshape(len(a), -1)[i, k]))
 
 
+def fill8(a: Floats, i: int, k: int) -> Lanes:
+    """The same in eight lanes."""
+    return np.full(8, float(a.reshape(len(a), -1)[i, k]))
+
+
+def join8(a: Lanes, b: Lanes) -> Lanes:
+    """Eight lanes of two times four."""
+    return np.concatenate([a, b])
+
+
+def low4(v: Lanes) -> Lanes:
+    """The first four of eight lanes."""
+    return v[:4].copy()
+
+
+def high4(v: Lanes) -> Lanes:
+    """The last four of eight lanes."""
+    return v[4:].copy()
+
+
 def sums3(x: Lanes, y: Lanes, z: Lanes) -> Lanes:
     """(sum3(x), sum3(y), sum3(z), 0): a padded block of columns x, y, z, transposed, times (1, 1, 1)."""
     return np.array([sum3(x), sum3(y), sum3(z), 0.0])

@@ -2,8 +2,9 @@
 
 A = L D Lᵀ with L unit lower triangular, in the order and the pattern that `elimination.analyse` finds. Block row and
 column numbers below are positions in that order ("slots"). The columns of a panel are finished one after the other,
-then everything they subtract from the columns of their rows is summed in registers, two blocks of a column at a time,
-which is what sixteen registers hold: each block is read and written once for a whole panel.
+then everything they subtract from the columns of their rows is summed in registers, blocks of two rows side by side in
+eight lanes, for two columns at a time: each block is read and written once for a whole panel. Thirty-two registers of
+eight hold four rows.
 
 There are three triangular solves because there are three layouts of right-hand sides: one vector of padded nodes
 (`solve`), eight lanes (`solve8`), and many that skip what is zero (`solve_many`). Each sums in the order that suits it.
@@ -14,8 +15,8 @@ from __future__ import annotations
 from typing import Any
 
 from ..arrays import Floats, Ints
-from .compile import kernel
-from .lanes import Lanes, fill4, lane, load4, load8, splat4, store4, store8, sums3
+from .compile import REGISTERS_OF_EIGHT, kernel
+from .lanes import Lanes, fill4, fill8, high4, join8, lane, load4, load8, low4, splat4, splat8, store4, store8, sums3
 from .model import Pattern
 
 NODES_AT_ONCE = 16  # `solve_many` solves for the right-hand sides of so many nodes:
@@ -23,108 +24,119 @@ SIDES_AT_ONCE = 3 * NODES_AT_ONCE  # a fixed, contiguous inner loop that vectori
 
 
 @kernel
-def factor(pattern: Pattern, diagonal: Floats, lower: Floats, inverse: Floats) -> bool:
-    """Turn A (diagonal, lower) into L (lower) and D⁻¹ (inverse), in place. False if A is not positive definite.
+def factor(pattern: Pattern, blocks: Floats, inverse: Floats) -> bool:
+    """Turn A into L, in place, and give D⁻¹ (inverse). False if A is not positive definite.
 
-    diagonal (nf, 3, 4), lower (nnz, 3, 4), inverse (nf, 3, 4): blocks by columns, each padded to four numbers.
-    Uses pattern.work.
-
-    One function of many lines, and helpers of many parameters, on purpose: cut in two, with blocks handed over as
-    tuples, it gives other last bits, and with it every step.
+    blocks (nf + nnz + 1, 3, 4): diagonal blocks, those below the diagonal, and one for what nobody wants; each by
+    columns padded to four numbers. inverse (nf, 3, 4) likewise. Uses pattern.work and pattern.pairs.
     """
-    start, row, panel, target, work = pattern.start, pattern.row, pattern.panel, pattern.target, pattern.work
+    start, panel, target, work, pairs = pattern.start, pattern.panel, pattern.target, pattern.work, pattern.pairs
+    nf, nowhere = inverse.shape[0], blocks.shape[0] - 1
     update = 0
     for s in range(panel.shape[0] - 1):
-        # Row r of the panel (its own columns first) is block origin + r of column 0. One column on that is
-        # height - 2 blocks on, then height - 3, …: columns get shorter. Its L D is in work[r * width + column].
+        # Row r of the panel (its own columns first): its L D is in work[r * width + column], its L in one half of
+        # pairs[r // 2 * width + column].
         first, width = panel[s], panel[s + 1] - panel[s]
         height = width + start[first + width] - start[first + width - 1]
-        origin = start[first] - 1
-
         for j in range(width):
-            k, q, base = first + j, j * width, start[first + j] - j - 1
-            a, b, c = _block(diagonal, k)
-            a, b, c = _minus_products(a, b, c, lower, origin + j, height, work, q, j)
+            k, q, base = first + j, j * width, nf + start[first + j] - j - 1
+            a, b, c = load4(blocks, k, 0), load4(blocks, k, 1), load4(blocks, k, 2)
+            for i in range(j):
+                p, half = j // 2 * width + i, j % 2
+                x, y, z = load4(pairs, p, half), load4(pairs, p, 2 + half), load4(pairs, p, 4 + half)
+                a = a - x * fill4(work, q + i, 0) - y * fill4(work, q + i, 4) - z * fill4(work, q + i, 8)
+                b = b - x * fill4(work, q + i, 1) - y * fill4(work, q + i, 5) - z * fill4(work, q + i, 9)
+                c = c - x * fill4(work, q + i, 2) - y * fill4(work, q + i, 6) - z * fill4(work, q + i, 10)
             if not _invert(a, b, c, inverse, k):
                 return False
-            i00, i10, i20 = inverse[k, 0, 0], inverse[k, 0, 1], inverse[k, 0, 2]
-            i11, i21, i22 = inverse[k, 1, 1], inverse[k, 1, 2], inverse[k, 2, 2]
-            for r in range(j + 1, height - 1, 2):
-                a, b, c = _block(lower, base + r)
-                d, e, f = _block(lower, base + r + 1)
-                p = origin + r
+            for m in range((j + 1) // 2, (height + 1) // 2):
+                p0 = base + 2 * m if 2 * m > j else nowhere
+                p1 = base + 2 * m + 1 if 2 * m + 1 < height else nowhere
+                d = join8(load4(blocks, p0, 0), load4(blocks, p1, 0))
+                e = join8(load4(blocks, p0, 1), load4(blocks, p1, 1))
+                f = join8(load4(blocks, p0, 2), load4(blocks, p1, 2))
                 for i in range(j):
-                    a, b, c = _minus_product(a, b, c, lower, p, work, q + i)
-                    d, e, f = _minus_product(d, e, f, lower, p + 1, work, q + i)
-                    p += height - 2 - i
-                _finish(a, b, c, i00, i10, i20, i11, i21, i22, lower, base + r, work, r * width + j)
-                q1 = r * width + width + j
-                _finish(d, e, f, i00, i10, i20, i11, i21, i22, lower, base + r + 1, work, q1)
-            if (height - j) % 2 == 0:
-                r = height - 1
-                a, b, c = _block(lower, base + r)
-                a, b, c = _minus_products(a, b, c, lower, origin + r, height, work, q, j)
-                _finish(a, b, c, i00, i10, i20, i11, i21, i22, lower, base + r, work, r * width + j)
-
-        slots = start[first + width - 1] - width  # row[slots + r] is the slot of row r
-        for t in range(width, height):
-            q, place = t * width, row[slots + t]
-            a, b, c = _block(diagonal, place)
-            a, b, c = _minus_products(a, b, c, lower, origin + t, height, work, q, width)
-            _store(diagonal, place, a, b, c)
-            for r in range(t + 1, height - 1, 2):
-                t0, t1 = target[update], target[update + 1]
-                update += 2
-                a, b, c = _block(lower, t0)
-                d, e, f = _block(lower, t1)
-                p = origin + r
-                for j in range(width):
-                    a, b, c = _minus_product(a, b, c, lower, p, work, q + j)
-                    d, e, f = _minus_product(d, e, f, lower, p + 1, work, q + j)
-                    p += height - 2 - j
-                _store(lower, t0, a, b, c)
-                _store(lower, t1, d, e, f)
-            if (height - t) % 2 == 0:
-                place = target[update]
-                update += 1
-                a, b, c = _block(lower, place)
-                a, b, c = _minus_products(a, b, c, lower, origin + height - 1, height, work, q, width)
-                _store(lower, place, a, b, c)
+                    d, e, f = _minus_product(d, e, f, pairs, m * width + i, work, q + i)
+                _store_halves(work, 2 * m * width + j, (2 * m + 1) * width + j, d, e, f)
+                x = d * fill8(inverse, k, 0) + e * fill8(inverse, k, 1) + f * fill8(inverse, k, 2)
+                y = d * fill8(inverse, k, 4) + e * fill8(inverse, k, 5) + f * fill8(inverse, k, 6)
+                z = d * fill8(inverse, k, 8) + e * fill8(inverse, k, 9) + f * fill8(inverse, k, 10)
+                _store_halves(blocks, p0, p1, x, y, z)
+                p = m * width + j
+                store8(pairs, p, 0, x)
+                store8(pairs, p, 1, y)
+                store8(pairs, p, 2, z)
+        count = (height + 1) // 2
+        for t in range(width // 2, count):
+            m, q = t, 2 * t * width
+            if REGISTERS_OF_EIGHT:
+                while m + 1 < count:
+                    _subtract_four(blocks, target, update, pairs, m * width, work, q, width)
+                    m, update = m + 2, update + 8
+            while m < count:
+                _subtract_two(blocks, target, update, pairs, m * width, work, q, width)
+                m, update = m + 1, update + 4
     return True
 
 
 @kernel
-def _block(A: Floats, p: int) -> tuple[Lanes, Lanes, Lanes]:
-    return load4(A, p, 0), load4(A, p, 1), load4(A, p, 2)
-
-
-@kernel
-def _store(A: Floats, p: int, a: Lanes, b: Lanes, c: Lanes) -> None:
-    store4(A, p, 0, a)
-    store4(A, p, 1, b)
-    store4(A, p, 2, c)
-
-
-@kernel
 def _minus_product(a: Lanes, b: Lanes, c: Lanes, L: Floats, p: int, W: Floats, q: int) -> tuple[Lanes, Lanes, Lanes]:
-    """The columns (a b c) − L[p] W[q]ᵀ."""
-    x, y, z = load4(L, p, 0), load4(L, p, 1), load4(L, p, 2)
+    """The columns (a b c) − L[p] W[q]ᵀ, of two blocks side by side."""
+    x, y, z = load8(L, p, 0), load8(L, p, 1), load8(L, p, 2)
     return (
-        a - x * fill4(W, q, 0) - y * fill4(W, q, 4) - z * fill4(W, q, 8),
-        b - x * fill4(W, q, 1) - y * fill4(W, q, 5) - z * fill4(W, q, 9),
-        c - x * fill4(W, q, 2) - y * fill4(W, q, 6) - z * fill4(W, q, 10),
+        a - x * fill8(W, q, 0) - y * fill8(W, q, 4) - z * fill8(W, q, 8),
+        b - x * fill8(W, q, 1) - y * fill8(W, q, 5) - z * fill8(W, q, 9),
+        c - x * fill8(W, q, 2) - y * fill8(W, q, 6) - z * fill8(W, q, 10),
     )
 
 
 @kernel
-def _minus_products(
-    a: Lanes, b: Lanes, c: Lanes, L: Floats, p: int, height: int, W: Floats, q: int, count: int
-) -> tuple[Lanes, Lanes, Lanes]:
-    """(a b c) minus the products of the first `count` columns of a panel; p, q: those of its column 0."""
-    for i in range(count):
-        a, b, c = _minus_product(a, b, c, L, p, W, q + i)
-        p += height - 2 - i
-    return a, b, c
+def _subtract_two(blocks: Floats, target: Ints, u: int, L: Floats, p: int, W: Floats, q: int, width: int) -> None:
+    """Products of all columns of a panel, of two rows (L[p …]) with two (W[q …]), from blocks target[u] to [u + 3]."""
+    a = b = c = d = e = f = splat8(0.0)
+    for j in range(width):
+        a, b, c = _minus_product(a, b, c, L, p + j, W, q + j)
+        d, e, f = _minus_product(d, e, f, L, p + j, W, q + width + j)
+    _add_halves(blocks, target[u], target[u + 1], a, b, c)
+    _add_halves(blocks, target[u + 2], target[u + 3], d, e, f)
+
+
+@kernel
+def _subtract_four(blocks: Floats, target: Ints, u: int, L: Floats, p: int, W: Floats, q: int, width: int) -> None:
+    """The same of four rows with two: the two times two of the first two rows, then those of the others."""
+    a = b = c = d = e = f = splat8(0.0)
+    g = h = i = k = l = m = splat8(0.0)
+    for j in range(width):
+        a, b, c = _minus_product(a, b, c, L, p + j, W, q + j)
+        g, h, i = _minus_product(g, h, i, L, p + width + j, W, q + j)
+        d, e, f = _minus_product(d, e, f, L, p + j, W, q + width + j)
+        k, l, m = _minus_product(k, l, m, L, p + width + j, W, q + width + j)
+    _add_halves(blocks, target[u], target[u + 1], a, b, c)
+    _add_halves(blocks, target[u + 2], target[u + 3], d, e, f)
+    _add_halves(blocks, target[u + 4], target[u + 5], g, h, i)
+    _add_halves(blocks, target[u + 6], target[u + 7], k, l, m)
+
+
+@kernel
+def _store_halves(A: Floats, p0: int, p1: int, a: Lanes, b: Lanes, c: Lanes) -> None:
+    """A[p0], A[p1] = (a b c)."""
+    store4(A, p0, 0, low4(a))
+    store4(A, p0, 1, low4(b))
+    store4(A, p0, 2, low4(c))
+    store4(A, p1, 0, high4(a))
+    store4(A, p1, 1, high4(b))
+    store4(A, p1, 2, high4(c))
+
+
+@kernel
+def _add_halves(A: Floats, p0: int, p1: int, a: Lanes, b: Lanes, c: Lanes) -> None:
+    """A[p0], A[p1] += (a b c)."""
+    store4(A, p0, 0, load4(A, p0, 0) + low4(a))
+    store4(A, p0, 1, load4(A, p0, 1) + low4(b))
+    store4(A, p0, 2, load4(A, p0, 2) + low4(c))
+    store4(A, p1, 0, load4(A, p1, 0) + high4(a))
+    store4(A, p1, 1, load4(A, p1, 1) + high4(b))
+    store4(A, p1, 2, load4(A, p1, 2) + high4(c))
 
 
 @kernel
@@ -148,16 +160,6 @@ def _invert(a: Lanes, b: Lanes, c: Lanes, inverse: Floats, k: int) -> bool:
     inverse[k, 1, 0], inverse[k, 1, 1], inverse[k, 1, 2] = i10, i11, i21
     inverse[k, 2, 0], inverse[k, 2, 1], inverse[k, 2, 2] = i20, i21, i22
     return True
-
-
-@kernel
-def _finish(
-    a: Lanes, b: Lanes, c: Lanes, i00: float, i10: float, i20: float, i11: float, i21: float, i22: float,
-    lower: Floats, p: int, work: Floats, q: int,
-) -> None:  # fmt: skip
-    """work[q] = (a b c), which is L D, and lower[p] = (a b c) D⁻¹."""
-    _store(work, q, a, b, c)
-    _store(lower, p, a * i00 + b * i10 + c * i20, a * i10 + b * i11 + c * i21, a * i20 + b * i21 + c * i22)
 
 
 @kernel

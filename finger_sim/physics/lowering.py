@@ -25,11 +25,15 @@ from .lanes import (
     add3x4,
     bits,
     fill4,
+    fill8,
     gather3,
     gather3x4,
+    high4,
+    join8,
     lane,
     load4,
     load8,
+    low4,
     maximum,
     pick4,
     scatter3,
@@ -197,9 +201,9 @@ def _index(context: Any, builder: Any, sig: Any, args: Any, n: int) -> Any:
 
 
 _PLACE = (types.Array, types.Integer, types.Integer)
-for _width, _kind, _read, _write, _fill in (
-    (4, LANES4, load4, store4, splat4),
-    (8, LANES8, load8, store8, splat8),
+for _width, _kind, _read, _write, _splats, _fill in (
+    (4, LANES4, load4, store4, splat4, fill4),
+    (8, LANES8, load8, store8, splat8, fill8),
 ):
 
     @_function(_read, lambda a, i, k, kind=_kind: kind, _PLACE)
@@ -213,9 +217,15 @@ for _width, _kind, _read, _write, _fill in (
         _store(builder, _pointer(context, builder, sig.args[0], args[0], i, k, width), args[3])
         return context.get_dummy_value()
 
-    @_function(_fill, lambda x, kind=_kind: kind, (types.Float,))
+    @_function(_splats, lambda x, kind=_kind: kind, (types.Float,))
     def _lower_splat(context: Any, builder: Any, sig: Any, args: Any, width: int = _width) -> Any:
         return _splat(builder, args[0], width)
+
+    @_function(_fill, lambda a, i, k, kind=_kind: kind, _PLACE)
+    def _lower_fill(context: Any, builder: Any, sig: Any, args: Any, width: int = _width) -> Any:
+        i, k = (_index(context, builder, sig, args, n) for n in (1, 2))
+        pointer = _pointer(context, builder, sig.args[0], args[0], i, k, 1)
+        return _splat(builder, builder.load(_as(builder, pointer, ir.DoubleType())), width)
 
 
 def _unary(name: str) -> Callable[..., Any]:
@@ -396,11 +406,16 @@ def _lower_scatter3x4(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return context.get_dummy_value()
 
 
-@_function(fill4, lambda a, i, k: LANES4, _PLACE)
-def _lower_fill4(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    i, k = (_index(context, builder, sig, args, n) for n in (1, 2))
-    pointer = _pointer(context, builder, sig.args[0], args[0], i, k, 1)
-    return _splat(builder, builder.load(_as(builder, pointer, ir.DoubleType())), 4)
+@_function(join8, lambda a, b: LANES8 if a is LANES4 and b is LANES4 else None, (LANES4, LANES4))
+def _lower_join8(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return _shuffle(builder, args[0], args[1], list(range(8)))
+
+
+for _half, _order in ((low4, [0, 1, 2, 3]), (high4, [4, 5, 6, 7])):
+
+    @_function(_half, lambda v: LANES4 if v is LANES8 else None, (LANES8,))
+    def _lower_half(context: Any, builder: Any, sig: Any, args: Any, order: list[int] = _order) -> Any:
+        return _shuffle(builder, args[0], args[0], order)
 
 
 @_function(sums3, lambda x, y, z: LANES4 if x is LANES4 else None, (LANES4, LANES4, LANES4))

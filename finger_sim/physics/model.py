@@ -18,8 +18,9 @@ class Pattern(NamedTuple):
     start: Ints  # (nf + 1,) first block of each column of L
     row: Ints  # (nnz,) slot of each block's row, ascending in a column
     panel: Ints  # (panels + 1,) first column of each panel
-    target: Ints  # (updates,) the off-diagonal blocks that `factor` subtracts from, in its order
+    target: Ints  # (4 k,) the blocks that `factor` subtracts from, in its order and numbers
     work: Floats  # (most blocks in a panel, 3, 4) L D of the panel that `factor` is at
+    pairs: Floats  # (half as many, 3, 8) its L, two rows side by side
     worth: int  # about how many iterations of Newton's method take as long as new factors
 
 
@@ -64,7 +65,7 @@ class Model(NamedTuple):
     slot: Ints  # (n,) slot of each node
     driven: Ints  # (nd,) driven nodes
     tet_slot: Ints  # (T, 4) slots of a tetrahedron's nodes
-    tet_place: Ints  # (T, 10) block of the factorisation that each node pair adds to, −1: none (a driven node)
+    tet_place: Ints  # (T, 10) block of State.L_blocks that each node pair adds to, −1: none (a driven node)
     tet_block: Ints  # (T, 10) block of A that it adds to, −1: none
     pair_row: Ints  # (T, 10) node (0 … 3) at the block's row
     pair_column: Ints  # (T, 10) node (0 … 3) at the block's column
@@ -82,7 +83,7 @@ class Model(NamedTuple):
     assembly_dot: Floats  # (k,) r_a · r_b of their nodes [1/m²]
     block_row: Ints  # (na,) slot of each block below the diagonal of A
     block_column: Ints  # (na,)
-    block_place: Ints  # (…,) where it is in the factorisation; those of a bone's nodes, the last ones, are not in it
+    block_place: Ints  # (…,) where it is in State.L_blocks; those of a bone's nodes, the last ones, are not in it
     laplace: Floats  # (blocks,) Σ vol r_a · r_b of each block [m]: its part that does not turn
     pattern: Pattern  # of the factorisation of A
     patches: Patches
@@ -205,10 +206,11 @@ class Tensor(NamedTuple):
     row: Floats  # (groups, 3, 4) what else a row is: see tensor_rows.CONSTANT …
     lam: Floats  # (groups, 4) row forces; 0 where there is no row
     best: Floats  # (groups, 4) those of the least residual so far
-    lane_J: Floats  # (8, 4, 4) scratch: a gradient of each of them
-    turning_count: Ints  # (1,) how many squares A has at driven nodes (turning.py), as w g gᵀ:
+    lane_J: Floats  # (8, 4 k, 4) scratch: k gradients of each of eight or four tetrahedra, by nodes
+    lane_root: Floats  # (k, 8) scratch: roots of their weights
+    lane_part: Floats  # (k, 4) scratch: what their patches get, of each of four
+    turning_count: Ints  # (1,) how many squares g gᵀ A has at driven nodes (turning.py):
     turning_tet: Ints  # (k,) whose
-    turning_weight: Floats  # (k,) w
     turning_J: Floats  # (k, 4, 4) g
 
 
@@ -295,8 +297,8 @@ class State(NamedTuple):
     rhs: Floats  # (slots, 4)
     slot_velocity: Floats  # (slots, 4) velocities in slot order
     slot_product: Floats  # (slots, 4) scratch
-    L_diagonal: Floats  # (nf, 3, 4) factorisation: D
-    L_lower: Floats  # (nnz, 3, 4) L below its diagonal
+    L_blocks: Floats  # (nf + nnz + 1, 3, 4) factorisation: see linear_solver.factor
+    L_lower: Floats  # (nnz, 3, 4) of it: L below its diagonal
     L_inverse: Floats  # (nf, 3, 4) D⁻¹
 
     # The rows of contact, then those of limits.

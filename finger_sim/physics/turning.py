@@ -18,9 +18,10 @@ from __future__ import annotations
 from ..arrays import Floats
 from .compile import formula, stage
 from .jacobi import Symmetric, Vector, load_symmetric, load_vector
-from .lanes import Lanes, absolute, bits, lane, load4, load8, maximum, scatter3, splat8, store4, sum3, where
-from .model import Model, State
+from .lanes import Lanes, absolute, bits, load4, load8, maximum, scatter3, splat8, sqrt, store4, store8, sum3, where
+from .model import Model, State, Tensor
 from .polar import Matrix, load_matrix
+from .squares import add_squares
 from .tensor_limit import at_node, less, pairs_of, spin_of, times, turned
 
 _FIRST, _SECOND = (0, 0, 1), (1, 2, 2)
@@ -33,36 +34,57 @@ _AHEAD, _MODULI = 0.05, 15.0
 @stage
 def add_turning(model: Model, state: State, h: float) -> None:
     """Add what limits at state.x resist turning with to A."""
-    tensor, volume = state.tensor, model.volume
-    near, frames, lane_J, factors = tensor.near, tensor.frames, tensor.lane_J, model.limit_factors
+    tensor, volume = state.tensor, model.lane_volume
+    near, frames, lane_J, factors, none = tensor.near, tensor.frames, tensor.lane_J, model.limit_factors, splat8(0.0)
     tensor.turning_count[0] = 0
     stiffness = h * h / model.limit_compliance
     passed = 1.0 - min(_AHEAD, _MODULI * model.lame_mu * model.limit_compliance)
     trace = 1.0 / 3.0 if model.patches.volume.shape[0] > 0 else 0.0
-    for k in range(2 * near.shape[0]):
-        b, side = k // 2, k % 2
-        at_limit = load8(near, b, side) > 0.0
-        if bits(at_limit) == 0:
+    for b in range(near.shape[0]):
+        if bits((load8(near, b, 0) > 0.0) | (load8(near, b, 1) > 0.0)) == 0:
             continue
-        entry, sign = pairs_of(model, b, side)
-        for d in range(3):
-            i, j = _FIRST[d], _SECOND[d]
+        found = count = 0
+        R, E = load_matrix(state.R, b), load_symmetric(state.E, b)
+        spin, size = spin_of(E), stiffness * load8(volume, b, 0)
+        for k in range(6):
+            side, i, j = k // 3, _FIRST[k % 3], _SECOND[k % 3]
+            at_limit = load8(near, b, side) > 0.0
+            if bits(at_limit) == 0:
+                continue
+            entry, sign = pairs_of(model, b, side)
             p, q = sign * load8(frames, entry, i), sign * load8(frames, entry, j)
             if bits(at_limit & (maximum(p, q) > passed)) == 0:
                 continue
             a, c = _scaled(frames, entry, i, factors, side), _scaled(frames, entry, j, factors, side)
             weight = _resistance(p, q, a, c, passed)
-            found = bits(at_limit & (weight > 0.0))
-            if found == 0:
+            root = sqrt(where(at_limit, weight * size, none))
+            if bits(root > 0.0) == 0:
                 continue
-            slope = _slope(load_matrix(state.R, b), load_symmetric(state.E, b), a, c, trace)
+            found |= bits(root > 0.0)
+            slope = _slope(R, E, spin, a, c, trace)
             for n in range(4):
                 x, y, z = at_node(slope, load_vector(model.lane_gradients, b, 3 * n))
-                scatter3(lane_J, 0, n, x, y, z)
-            for l in range(8):
-                if (found >> l) & 1:
-                    t = 8 * b + l
-                    add_square(model, state, t, l, stiffness * volume[t] * lane(weight, l))
+                scatter3(lane_J, 0, 4 * count + n, x * root, y * root, z * root)
+            store8(tensor.lane_root, count, 0, root)
+            count += 1
+        for l in range(8):
+            if (found >> l) & 1:
+                add_squares(model, state.A, model.tet_block, 8 * b + l, lane_J, l, count)
+                if model.tet_moves[8 * b + l] < 4 and not model.has_bone:
+                    keep_squares(tensor, 8 * b + l, l, count)
+
+
+@stage
+def keep_squares(tensor: Tensor, t: int, l: int, count: int) -> None:
+    """Keep the squares of tetrahedron t, whose gradients are in lane l of lane_J, for `resist_driven`."""
+    for k in range(count):
+        if tensor.lane_root[k, l] == 0.0:
+            continue
+        own = tensor.turning_count[0]
+        tensor.turning_tet[own] = t
+        for n in range(4):
+            store4(tensor.turning_J, own, n, load4(tensor.lane_J, l, 4 * k + n))
+        tensor.turning_count[0] = own + 1
 
 
 @formula
@@ -89,8 +111,8 @@ def _resistance(p: Lanes, q: Lanes, a: Vector, b: Vector, passed: float) -> Lane
 
 
 @formula
-def _slope(R: Matrix, E: Symmetric, a: Vector, b: Vector, trace: float) -> Matrix:
-    """∂(aᵀ E b)/∂F, without so much of its trace: a third where it is that of the patch."""
+def _slope(R: Matrix, E: Symmetric, spin: Symmetric, a: Vector, b: Vector, trace: float) -> Matrix:
+    """∂(aᵀ E b)/∂F, without so much of its trace: a third where it is that of the patch; spin: `spin_of` E."""
     a0, a1, a2 = a
     b0, b1, b2 = b
     p0, p1, p2 = times(E, a)
@@ -102,26 +124,7 @@ def _slope(R: Matrix, E: Symmetric, a: Vector, b: Vector, trace: float) -> Matri
     )
     s0, s1, s2 = a0 * b0, a1 * b1, a2 * b2
     S = (s0, s1, s2, 0.5 * (a1 * b2 + a2 * b1), 0.5 * (a0 * b2 + a2 * b0), 0.5 * (a0 * b1 + a1 * b0))
-    return less(turned(R, S, times(spin_of(E), z)), R, (s0 + s1 + s2) * trace)
-
-
-@stage
-def add_square(model: Model, state: State, t: int, l: int, weight: float) -> None:
-    """Add weight · g gᵀ of tetrahedron t, whose g is in lane l of lane_J, to A, and keep it for `resist_driven`."""
-    A, tensor, g = state.A, state.tensor, state.tensor.lane_J
-    for e in range(10):
-        block = model.tet_block[t, e]
-        if block >= 0:
-            row, column = model.pair_row[t, e], model.pair_column[t, e]
-            a = load4(g, l, row) * weight
-            for c in range(3):
-                store4(A, block, c, load4(A, block, c) + a * g[l, column, c])
-    if model.tet_moves[t] < 4 and not model.has_bone:
-        k = tensor.turning_count[0]
-        tensor.turning_tet[k], tensor.turning_weight[k] = t, weight
-        for n in range(4):
-            store4(tensor.turning_J, k, n, load4(g, l, n))
-        tensor.turning_count[0] = k + 1
+    return less(turned(R, S, times(spin, z)), R, (s0 + s1 + s2) * trace)
 
 
 @stage
@@ -133,8 +136,7 @@ def resist_driven(model: Model, state: State) -> None:
         t, rate = tensor.turning_tet[k], 0.0
         for n in range(4):
             rate += sum3(load4(g, k, n) * load4(state.driven_velocity, model.tets[t, n], 0))
-        push = tensor.turning_weight[k] * rate
         for n in range(4):
             slot = model.tet_slot[t, n]
             if slot < nf:
-                store4(rhs, slot, 0, load4(rhs, slot, 0) - load4(g, k, n) * push)
+                store4(rhs, slot, 0, load4(rhs, slot, 0) - load4(g, k, n) * rate)

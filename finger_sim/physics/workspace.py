@@ -127,6 +127,8 @@ def _saved(model: Model, size: _Sizes) -> dict[str, Any]:
 
 def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
     again = size.nodes if model.relinearizations or not size.pgs else 0
+    below = len(model.pattern.row)
+    blocks = aligned(size.free + below + 1, 3, 4)
     return {
         "x_start": aligned(again, 4),
         "v_start": aligned(again, 4),
@@ -145,8 +147,8 @@ def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
         "rhs": aligned(size.slots, 4),
         "slot_velocity": aligned(size.slots, 4),
         "slot_product": aligned(size.slots, 4),
-        "L_diagonal": aligned(size.free, 3, 4),
-        "L_lower": aligned(len(model.pattern.row), 3, 4),
+        "L_blocks": blocks,
+        "L_lower": blocks[size.free : size.free + below],
         "L_inverse": aligned(size.free, 3, 4),
     }
 
@@ -269,9 +271,10 @@ def _tensor(size: _Sizes) -> Tensor:
         row=aligned(groups, 3, 4),
         lam=aligned(groups, 4),
         best=aligned(groups, 4),
-        lane_J=aligned(LANES, 4, 4),
+        lane_J=aligned(LANES, 4 * 2 * MOST_DIRECTIONS, 4),
+        lane_root=aligned(6, LANES),
+        lane_part=aligned(2 * MOST_DIRECTIONS, 4),
         turning_count=np.zeros(1, np.int64),
         turning_tet=np.zeros(size.turning, np.int64),
-        turning_weight=np.zeros(size.turning),
         turning_J=aligned(size.turning, 4, 4),
     )

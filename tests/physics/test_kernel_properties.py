@@ -140,8 +140,8 @@ def test_solves_lose_no_more_digits_than_stiffness_has(seed: int, stiff: float) 
         A[a, :, b] -= spring
         A[b, :, a] -= spring
     A = A.reshape(3 * nodes, 3 * nodes) + np.eye(3 * nodes)
-    pattern, diagonal, lower, inverse = loaded(np.array(edges, np.int64).reshape(-1, 2)[:, ::-1], A)
-    assert linear_solver.factor(pattern, diagonal, lower, inverse)
+    pattern, blocks, lower, inverse = loaded(np.array(edges, np.int64).reshape(-1, 2)[:, ::-1], A)
+    assert linear_solver.factor(pattern, blocks, inverse)
     y = np.zeros((nodes, 4))
     y[:, :3] = rng.standard_normal((nodes, 3))
     given_y = y[pattern.slot, :3].ravel().copy()

@@ -14,7 +14,7 @@ from physics_helpers import Array, loaded
 
 from finger_sim.physics import elimination, linear_solver
 from finger_sim.physics.compile import kernel
-from finger_sim.physics.lanes import fill4, load4, store4, sums3
+from finger_sim.physics.lanes import fill4, fill8, high4, join8, load4, low4, store4, sums3
 from finger_sim.scene.mesh import TetMesh
 
 
@@ -41,10 +41,10 @@ def system_on(rng: np.random.Generator, nodes: int, graph: Any, spread: float) -
 def check_solution(graph: Any, A: Array, rng: np.random.Generator) -> Any:
     """Factor A, solve for a random right-hand side and compare with numpy.linalg. The pattern."""
     nodes = len(A) // 3
-    pattern, diagonal, lower, inverse = loaded(graph, A)
+    pattern, blocks, lower, inverse = loaded(graph, A)
     assert sorted(pattern.order) == list(range(nodes))
     assert (pattern.slot[pattern.order] == np.arange(nodes)).all()
-    assert linear_solver.factor(pattern, diagonal, lower, inverse)
+    assert linear_solver.factor(pattern, blocks, inverse)
     y = np.zeros((nodes, 4))
     y[:, :3] = rng.standard_normal((nodes, 3))
     expected = np.linalg.solve(A, y[pattern.slot, :3].ravel()).reshape(-1, 3)
@@ -117,8 +117,8 @@ def test_lanes_are_columns_of_the_inverse(nodes: int, edges: int) -> None:
     """Many right-hand sides at once, from any slot on, give what numpy.linalg.inv has."""
     rng = np.random.default_rng(4)
     graph, A = random_system(rng, nodes, edges, 1.0)
-    pattern, diagonal, lower, inverse = loaded(graph, A)
-    assert linear_solver.factor(pattern, diagonal, lower, inverse)
+    pattern, blocks, lower, inverse = loaded(graph, A)
+    assert linear_solver.factor(pattern, blocks, inverse)
     index = (3 * pattern.order[:, None] + np.arange(3)).ravel()
     whole = np.linalg.inv(A)[np.ix_(index, index)]
     for first in range(nodes):
@@ -131,17 +131,22 @@ def test_lanes_are_columns_of_the_inverse(nodes: int, edges: int) -> None:
 
 
 @kernel
-def _fill_and_sums(a: Array, out: Array) -> None:
+def _of_the_solver(a: Array, out: Array) -> None:
     store4(out, 0, 0, fill4(a, 1, 2))
     store4(out, 1, 0, sums3(load4(a, 0, 0), load4(a, 1, 0), load4(a, 2, 0)))
+    both = join8(load4(a, 1, 0), load4(a, 2, 0))
+    store4(out, 2, 0, high4(both))
+    store4(out, 3, 0, low4(both + fill8(a, 0, 1)))
 
 
-def test_fill_and_sums() -> None:
-    """The two lanes functions that only the solver uses: one number four times, and three sums of three."""
-    a, out = np.arange(12.0).reshape(3, 4) ** 2, np.zeros((2, 4))
-    _fill_and_sums(a, out)
+def test_lanes_of_the_solver() -> None:
+    """Lanes functions that only the solver uses: one number in all lanes, three sums of three, two halves."""
+    a, out = np.arange(12.0).reshape(3, 4) ** 2, np.zeros((4, 4))
+    _of_the_solver(a, out)
     assert out[0].tolist() == [36.0] * 4
     assert out[1].tolist() == [0 + 1 + 4, 16 + 25 + 36, 64 + 81 + 100, 0]
+    assert out[2].tolist() == [64.0, 81.0, 100.0, 121.0]
+    assert out[3].tolist() == [17.0, 26.0, 37.0, 50.0]
 
 
 def test_fill_is_small_on_a_chain() -> None:
@@ -163,5 +168,5 @@ def test_a_matrix_that_is_not_positive_definite_is_reported(broken: str) -> None
         A[9:12], A[:, 9:12] = 0.0, 0.0
     else:
         A[20, 20] = np.nan
-    pattern, diagonal, lower, inverse = loaded(graph, A)
-    assert not linear_solver.factor(pattern, diagonal, lower, inverse)
+    pattern, blocks, _, inverse = loaded(graph, A)
+    assert not linear_solver.factor(pattern, blocks, inverse)
