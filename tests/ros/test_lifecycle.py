@@ -122,6 +122,7 @@ def test_one_life(managed: Managed, node: NodeProcess, folder: Path) -> None:
     assert "cannot be taken" not in node.output
 
 
+@pytest.mark.slow
 def test_its_recording_can_be_replayed(node: NodeProcess, folder: Path, tmp_path: Path) -> None:
     """From the first activation to the end of it, and no longer."""
     steps = len(list(BagReader(folder / "bag").messages(["/pose"])))
