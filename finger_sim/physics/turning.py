@@ -28,7 +28,7 @@ _FIRST, _SECOND = (0, 0, 1), (1, 2, 2)
 _APART = 0.1  # of λ_i − λ_j at least: nearer ones have rows between them (tensor_limit.py)
 # A limit counts as passed so much of its room before it is, as it may be so within the step; or, if that is less, what
 # gives a stress of so many shear moduli. Of a limit that is all but rigid the first would be a huge force.
-_AHEAD, _MODULI = 0.05, 400.0
+_AHEAD, _MODULI = 0.05, 15.0
 
 
 @stage
