@@ -20,7 +20,7 @@ from ..arrays import Floats, Ints
 from ..physics.compile import formula, stage
 from ..physics.records import side_by_side
 from .coupling import way_and_turn
-from .path import Numbers, distance, read, write
+from .path import Numbers, distance, keep_among, read
 
 EXACT = 1e-6
 """Times nearer to each other than this are one [s]: a log has whole nanoseconds, simulated time none."""
@@ -95,14 +95,7 @@ def keep(holding: Holding, time: float, at: Numbers, dt: float) -> None:
     heard, count = holding.heard, holding.kept[0]
     if count > 1 and time - heard[count - 2, 7] < APART * dt:
         count -= 1
-    elif count == LAST:
-        count -= 1
-        for k in range(count):
-            write(heard[k], read(heard[k + 1]))
-            heard[k, 7] = heard[k + 1, 7]
-    write(heard[count], at)
-    heard[count, 7] = time
-    holding.kept[0] = count + 1
+    holding.kept[0] = keep_among(heard, count, time, at)
 
 
 @stage

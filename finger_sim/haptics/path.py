@@ -118,6 +118,19 @@ def write(row: Floats, at: Numbers) -> None:
     row[0], row[1], row[2], row[3], row[4], row[5], row[6] = at
 
 
+@stage
+def keep_among(heard: Floats, kept: int, time: float, at: Numbers) -> int:
+    """A pose and its time after `kept` rows of `heard` (…, 8); where these are all, the first goes. How many then."""
+    if kept == heard.shape[0]:
+        kept -= 1
+        for k in range(kept):
+            write(heard[k], read(heard[k + 1]))
+            heard[k, 7] = heard[k + 1, 7]
+    write(heard[kept], at)
+    heard[kept, 7] = time
+    return kept + 1
+
+
 @formula
 def clear(row: Floats) -> None:
     """Seven zeros into a row."""

@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import Floats, Ints
 from ..physics.compile import formula, stage
 from ..physics.records import side_by_side
-from .path import Numbers, clear, on_side, read, side_near, with_unit_turn, write
+from .path import Numbers, clear, keep_among, on_side, read, side_near, with_unit_turn, write
 
 LAST = 3
 """Commands from which a velocity is taken: two intervals even out half of a jitter, and are not old yet."""
@@ -155,12 +155,4 @@ def _measure_speed(prediction: Prediction, age: float, dt: float) -> None:
 @formula
 def _keep(prediction: Prediction, time: float, at: Numbers) -> None:
     """Among the last commands; the oldest goes."""
-    heard, count = prediction.heard, prediction.kept[0]
-    if count == LAST:
-        count -= 1
-        for k in range(count):
-            write(heard[k], read(heard[k + 1]))
-            heard[k, 7] = heard[k + 1, 7]
-    write(heard[count], at)
-    heard[count, 7] = time
-    prediction.kept[0] = count + 1
+    prediction.kept[0] = keep_among(prediction.heard, prediction.kept[0], time, at)
