@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return f"ros {place.name < MIDDLE}" if place.parent == ROOT / "ros" else file
 
     return ByFile(config, log)
+
+
+@pytest.fixture(autouse=True)
+def _a_broken_pipe_is_an_error():
+    """As in any Python process: what a test of this process has left must not end it when a socket is closed."""
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
 
 @pytest.fixture(autouse=True)
