@@ -13,7 +13,7 @@ import numpy as np
 
 from ..arrays import Floats, Ints
 from ..scene import Scene
-from ..studies.at_rest import NO_VISCOSITY, faded
+from ..studies.at_rest import resting
 from ..studies.tradeoff.run import portable
 from .parameters import Unknown, changes
 from .press import Path as Way
@@ -84,7 +84,7 @@ class Model:
         if self.in_time:
             scene = scene.with_values(in_time(scene) | {"solver.level": "standard"})
         else:
-            scene = faded(scene).with_values(AT_REST | (NO_VISCOSITY if scene.limits is not None else {}))
+            scene = resting(scene, AT_REST)
         data = portable(scene)
         return [
             job(data, self.way(k, self.shift(theta, k)), press.area is not None) for k, press in enumerate(self.presses)

@@ -9,7 +9,7 @@ from ..arrays import Floats
 from ..console import table
 from ..scene import Pose, Scene
 from ..simulation.simulator import Simulator, Tell
-from ..studies.at_rest import NO_VISCOSITY, faded
+from ..studies.at_rest import resting
 from ..studies.fingertip.laws import FORCES, stiffness_line, tangent
 from .checks import thickness_along
 from .press import STEPS, FitError, orientation_of, touch_height
@@ -32,7 +32,7 @@ def press_curve(scene: Scene, direction: str, tell: Tell | None = None) -> tuple
         lacks = "plane" if scene.plane is None else "driven"
         raise FitError(f"{lacks}: the scene has none, allowed with --press: a finger on its bone, and a plane")
     turn = orientation_of(direction)
-    simulator = Simulator(faded(scene).with_values(AT_REST | (NO_VISCOSITY if scene.limits is not None else {})), tell)
+    simulator = Simulator(resting(scene, AT_REST), tell)
     touch = touch_height(scene, simulator.mesh, turn)
     deepest = SHARE * thickness_along(scene, simulator.mesh, turn)
     simulator.reset(Pose((0.0, 0.0, touch + STEP), turn))

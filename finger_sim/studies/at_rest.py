@@ -117,8 +117,13 @@ def answers(scene: Scene, orientations: tuple[str, ...] = ("flat", "side", "tip"
 
 
 def at_rest(scene: Scene) -> Scene:
-    """The scene as it is pressed: SETTING, and NO_VISCOSITY where it has limits; stress that relaxes has done so."""
-    return faded(scene).with_values(SETTING | (NO_VISCOSITY if scene.limits is not None else {}))
+    """The scene as it is pressed."""
+    return resting(scene, SETTING)
+
+
+def resting(scene: Scene, setting: dict[str, Any]) -> Scene:
+    """The scene with a setting, and NO_VISCOSITY where it has limits; stress that relaxes has done so."""
+    return faded(scene).with_values(setting | (NO_VISCOSITY if scene.limits is not None else {}))
 
 
 def faded(scene: Scene) -> Scene:
