@@ -1,4 +1,4 @@
-"""When steps begin: where each has a command of its own, just after that has come.
+"""When steps begin: where commands come as often as steps, just after one has come.
 
 A command waits for the next deadline: half a period at the median, and from nothing to a whole one in turn, as the
 sender's clock and this one differ by a hair. So deadlines are moved until commands wait no longer than their jitter
@@ -15,8 +15,8 @@ import numpy as np
 from ..arrays import Floats
 from ..physics.compile import kernel
 
-_OWN = 0.9  # share of steps with a command of their own from which on deadlines are moved
-_STEPS = 256  # over so many, shares and jitter are taken
+_OTHER = 0.1  # of a period, by which the interval of commands may differ from it: others move nothing
+_STEPS = 256  # over so many, jitter is taken
 _SHARE = 1.0 / 16.0  # of what a wait is off, by which deadlines are moved
 _MOST = 1.0 / 500.0  # of a period, likewise,
 _MOST_FAR = 1.0 / 200.0  # and where the last waits were far off
@@ -29,30 +29,29 @@ _FAR = 0.125  # of a period: deviations beyond count as this one, few late comma
 class Phase(NamedTuple):
     """How commands come beside deadlines; (1,) each.
 
-    own    : share of the last steps that had a command of their own
     off    : mean of the last waits beyond what was aimed at [s]
     spread : mean deviation of the last waits from what was aimed at [s]
     """
 
-    own: Floats
     off: Floats
     spread: Floats
 
 
 def no_phase(period: float) -> Phase:
     """Of a loop that has not begun. period [s]."""
-    return Phase(np.zeros(1), np.zeros(1), np.full(1, 0.25 * period))
+    return Phase(np.zeros(1), np.full(1, 0.25 * period))
 
 
 @kernel
-def moved(phase: Phase, period: float, wait: float) -> float:
+def moved(phase: Phase, period: float, interval: float, wait: float) -> float:
     """By how much deadlines are to be moved after a step [s].
 
-    wait: of its command from receipt to the step's begin [s]; negative where none has come since the step before
+    interval : of commands, at the mean [s]; steps without a command, and with two, are no other rate: they are what is
+               to be cured where commands come just as steps begin
+    wait     : of its command from receipt to the step's begin [s]; negative where none has come since the step before
     """
-    own, spread = phase.own, phase.spread
-    own[0] += ((1.0 if wait >= 0.0 else 0.0) - own[0]) / _STEPS
-    if wait < 0.0 or own[0] < _OWN:
+    spread = phase.spread
+    if wait < 0.0 or abs(interval - period) > _OTHER * period:
         return 0.0
     aim = min(_LEAST_WAIT + _SPREAD * spread[0], 0.5 * period)
     off = (wait - aim + 0.5 * period) % period - 0.5 * period

@@ -22,6 +22,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
+from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from ..plain import printing
@@ -30,6 +31,7 @@ from .accounts import Recent
 IDLE_PERIOD = 0.01
 """How often a triggered loop looks at the time while nothing triggers it [s]."""
 _PR_SET_TIMERSLACK = 29  # of prctl(2)
+_RECEIVERS = ("dds.udp", "dds.shm", "dds.ev")  # names of Fast DDS's threads that receive, and that acknowledge
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # of mlockall(2)
 
 
@@ -219,6 +221,19 @@ def prefer_this_thread(priority: int) -> str | None:
             f"put the line '{_user()} - rtprio {priority}' into /etc/security/limits.d/finger_sim.conf and log in anew"
         )
     return None
+
+
+def prefer_receivers(priority: int) -> None:
+    """Fast DDS's threads of this process that receive get this priority of SCHED_FIFO; 0: as they are.
+
+    A command waits for them: beside other busy threads a loop that is never late steps with old ones.
+    """
+    if priority == 0:
+        return
+    for thread in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended
+            if (thread / "comm").read_text().startswith(_RECEIVERS):
+                os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
 
 
 def keep_in_memory() -> str | None:

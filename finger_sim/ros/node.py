@@ -47,7 +47,7 @@ from .diagnostics import Reporter
 from .given import unreached
 from .graph_watch import GraphWatch
 from .inbox import Command, Inbox
-from .loop import StepCounts, Triggers, keep_in_memory, prefer_this_thread
+from .loop import StepCounts, Triggers, keep_in_memory, prefer_receivers, prefer_this_thread
 from .messages import time_of
 from .options import NodeOptions
 from .outputs import Outputs
@@ -240,13 +240,17 @@ class FingerNode(Node):  # type: ignore[misc]
         )
 
     def _place_this_thread(self, priority: int) -> int:
-        """On the processors asked for, and with the priority, where that is permitted; the one it has."""
+        """On the processors asked for, and with the priority, where that is permitted; the one it has.
+
+        The middleware's threads that receive have one less.
+        """
         if self._processors:
             os.sched_setaffinity(0, self._processors)
         refused = prefer_this_thread(priority)
         if refused is not None:
             self.get_logger().info(refused)
             return 0
+        prefer_receivers(max(0, priority - 1))
         return priority
 
     def _on_progress(self, text: str) -> None:

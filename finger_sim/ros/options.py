@@ -84,7 +84,8 @@ class NodeOptions:
     )
     realtime_priority: int = field(
         "int",
-        "Priority of the loop's thread under SCHED_FIFO, where the system permits it; 0: as any other thread",
+        "Priority of the loop's thread under SCHED_FIFO, where the system permits it; those that receive commands get "
+        "one less; 0: as any other thread",
         default=20,
         low=0,
         high=99,

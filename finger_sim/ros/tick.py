@@ -497,7 +497,8 @@ def _account(live: Live) -> None:
         grid.k[0] = max(k + 1, passed)
         grid.overruns[0] += grid.k[0] - (k + 1)
         wait = 1e-9 * (grid.begun[0] - heard.received[0]) if heard.fresh[0] != 0 else -1.0
-        grid.moved[0] += int(1e9 * phase.moved(live.phase, 1e-9 * grid.period[0], wait))
+        interval = live.body.lead.course.cadence.interval[0]
+        grid.moved[0] += int(1e9 * phase.moved(live.phase, 1e-9 * grid.period[0], interval, wait))
     if heard.fresh[0] != 0:
         heard.fresh[0] = 0
         write(heard.before, read(heard.newest))

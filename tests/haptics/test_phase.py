@@ -24,7 +24,7 @@ def waits(interval: float, jitter: float, moves: bool = True) -> tuple[NDArray[n
         if k >= STEPS - 4000:
             without += wait < 0.0
             out += [wait] if wait >= 0.0 else []
-        by = moved(phase, PERIOD, wait)
+        by = moved(phase, PERIOD, interval, wait)
         found = moves and k >= STEPS - 4000 and abs(interval - PERIOD) < 1e-3 * PERIOD
         assert abs(by) <= PERIOD / (500.0 if found else 200.0)
         shift += by if moves else 0.0
@@ -66,7 +66,7 @@ def test_a_sender_that_begins_anew_is_found_soon() -> None:
         phase_of_it = 0.2 * PERIOD if k < 2000 else 0.7 * PERIOD
         wait = (shift - phase_of_it - abs(random.normal(0.0, 2e-5))) % PERIOD
         out.append(wait)
-        shift += moved(phase, PERIOD, wait)
+        shift += moved(phase, PERIOD, PERIOD, wait)
     assert np.median(out[1900:2000]) < 1.2e-4
     assert np.median(out[2120:]) < 1.6e-4
 
@@ -75,5 +75,20 @@ def test_a_whole_period_is_none() -> None:
     """A wait and the same with a period more move deadlines alike: to the nearer way."""
     for wait in (0.0, 2e-4, 5e-4, 9e-4):
         one, other = (no_phase(PERIOD) for _ in range(2))
-        one.own[0] = other.own[0] = 1.0
-        assert moved(one, PERIOD, wait) == pytest.approx(moved(other, PERIOD, wait + PERIOD), abs=1e-15)
+        nearer, farther = moved(one, PERIOD, PERIOD, wait), moved(other, PERIOD, PERIOD, wait + PERIOD)
+        assert nearer == pytest.approx(farther, abs=1e-15)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_commands_that_come_just_as_steps_begin_are_found(seed: int) -> None:
+    """Half of the steps have none then, and others two: their rate is that of steps all the same."""
+    random = np.random.default_rng(seed)
+    came = np.sort(PERIOD * np.arange(3000) + random.normal(0.0, 1e-4, 3000))
+    phase, shift, newest, out = no_phase(PERIOD), 0.0, -1, []
+    for k in range(1, 2900):
+        before, newest = newest, int(np.searchsorted(came, shift + k * PERIOD, "right")) - 1
+        wait = shift + k * PERIOD - came[newest] if newest > before else -1.0
+        out.append(newest - before)
+        shift += moved(phase, PERIOD, PERIOD, wait)
+    assert np.count_nonzero(np.array(out[:30]) != 1) > 5
+    assert np.count_nonzero(np.array(out[-1000:]) != 1) < 150

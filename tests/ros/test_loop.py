@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import getpass
 import os
 import threading
@@ -10,7 +11,17 @@ from types import SimpleNamespace
 import pytest
 
 from finger_sim.ros import loop as module
-from finger_sim.ros.loop import Loop, RateLoop, StepCounts, Triggers, keep_in_memory, prefer_this_thread
+from finger_sim.ros.loop import (
+    Loop,
+    RateLoop,
+    StepCounts,
+    Triggers,
+    keep_in_memory,
+    prefer_receivers,
+    prefer_this_thread,
+)
+
+PR_SET_NAME = 15  # of prctl(2)
 
 
 class Clock:
@@ -152,3 +163,38 @@ def test_a_priority_that_is_not_permitted_is_told_with_what_permits_it(monkeypat
     refused = prefer_this_thread(20)
     assert refused is not None
     assert f"'{getpass.getuser()} - rtprio 20'" in refused
+
+
+def test_threads_that_receive_are_preferred_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the names that Fast DDS gives them; what is not permitted, and 0, change nothing."""
+    asked: list[tuple[int, int, int]] = []
+
+    def schedule(thread: int, policy: int, parameters: os.sched_param) -> None:
+        asked.append((thread, policy, parameters.sched_priority))
+        if parameters.sched_priority > 7:
+            raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", schedule)
+    ready, done, ids = threading.Barrier(4), threading.Event(), {}
+
+    def wait(name: str) -> None:
+        ctypes.CDLL(None).prctl(PR_SET_NAME, name.encode())
+        ids[name] = threading.get_native_id()
+        ready.wait()
+        done.wait()
+
+    threads = [threading.Thread(target=wait, args=(name,)) for name in ("dds.udp.7411", "dds.asyn.0.0", "other")]
+    for thread in threads:
+        thread.start()
+    ready.wait()
+    try:
+        prefer_receivers(0)
+        assert asked == []
+        prefer_receivers(7)
+        assert (ids["dds.udp.7411"], os.SCHED_FIFO, 7) in asked  # beside such of other tests' nodes
+        assert not {ids["dds.asyn.0.0"], ids["other"]} & {thread for thread, _, _ in asked}
+        prefer_receivers(8)
+    finally:
+        done.set()
+        for thread in threads:
+            thread.join()
