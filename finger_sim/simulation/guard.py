@@ -25,6 +25,9 @@ RAGING, RAGING_TIME = 20.0, 0.25
 
 Less of either takes bodies away that would still come to rest; more of them shows a user noise for longer."""
 
+INSIDE_OUT_TIME = 5.0
+"""How long [s] tetrahedra may be inside out in a body that nothing touches or moves, however slowly it swings."""
+
 _REJECTED, _INVERTED = int(Status.STEP_REJECTED), int(Status.INVERTED)
 _STRAINED = int(Status.INVERTED | Status.LIMIT_EXCEEDED)
 _UNSETTLED = int(Status.STEP_REJECTED | Status.COMMAND_LIMITED)
@@ -47,14 +50,15 @@ class Guard(NamedTuple):
           ▼    │
         ┌──────────┐   after MOST_REJECTIONS in a row; torn to TORN times its size;
         │ restored │   inside out and at rest for STILL_TIME; raging for RAGING_TIME:
-        └──────────┘   strained, fast, and nothing touches or moves it
+        └──────────┘   strained, fast, and nothing touches or moves it;
+                       inside out for INSIDE_OUT_TIME while nothing does
 
     still_speed  : up to which a body is at rest [m/s]
     raging_speed : from which it may rage [m/s]
     torn         : distance from the finger frame's origin from which it is torn [m]
     driven       : 1 where it has a bone
     sleeps       : 1 where the scene lets bodies sleep
-    still, raging, rejections : steps in a row, up to now
+    still, raging, inverted, rejections : steps in a row, up to now
     asleep       : 1 while it is
     slept        : steps that were not computed since the body fell asleep
     """
@@ -66,6 +70,7 @@ class Guard(NamedTuple):
     sleeps: Floats
     still: Floats
     raging: Floats
+    inverted: Floats
     rejections: Floats
     asleep: Floats
     slept: Floats
@@ -83,7 +88,7 @@ def build_guard(length: float, reach: float, *, driven: bool, sleeps: bool) -> G
 
 def wake(guard: Guard) -> None:
     """Something was changed from outside: compute the next step, and judge anew."""
-    guard.asleep[0] = guard.still[0] = guard.raging[0] = 0.0
+    guard.asleep[0] = guard.still[0] = guard.raging[0] = guard.inverted[0] = 0.0
 
 
 @stage
@@ -116,16 +121,17 @@ def relaxed(state: State) -> bool:
 @stage
 def judge(guard: Guard, status: int, result: Floats, moves: bool, relaxes: bool, dt: float) -> int:
     """What is to become of the body after a step of dt [s]. result: State.result of its last substep."""
-    speed, touches = result[SPEED], result[CONTACTS] > 0.0
-    rages = status & _STRAINED != 0 and not touches and speed > guard.raging_speed[0] and not moves
+    speed, alone = result[SPEED], not moves and not result[CONTACTS] > 0.0
+    rages = status & _STRAINED != 0 and alone and speed > guard.raging_speed[0]
     guard.raging[0] = guard.raging[0] + 1.0 if rages else 0.0
+    guard.inverted[0] = guard.inverted[0] + 1.0 if alone and status & _INVERTED else 0.0
     rests = speed <= guard.still_speed[0] and not moves and not relaxes and status & _UNSETTLED == 0
     guard.still[0] = guard.still[0] + 1.0 if rests else 0.0
-    if guard.raging[0] * dt >= RAGING_TIME:
+    if guard.raging[0] * dt >= RAGING_TIME or guard.inverted[0] * dt >= INSIDE_OUT_TIME:
         return RESTORED
     if guard.still[0] * dt < STILL_TIME:
         return GOES_ON
-    if status & _INVERTED and not touches:
+    if status & _INVERTED and alone:
         return RESTORED
     guard.asleep[0] = guard.sleeps[0]
     return SLEEPS if guard.asleep[0] != 0.0 else GOES_ON

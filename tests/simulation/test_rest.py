@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from small_fingers import small
 
 from finger_sim import Scene, Simulator, Status
-from finger_sim.simulation.guard import STILL_TIME
+from finger_sim.physics.step import CONTACTS, SPEED
+from finger_sim.simulation.guard import GOES_ON, RESTORED, STILL_TIME, build_guard, judge, wake
 
 FLAT = Rotation.from_euler("x", 90, degrees=True)
 
@@ -214,6 +215,24 @@ def test_a_body_beyond_repair_is_restored_and_says_so(how: str) -> None:
     assert_allclose(sim.positions, rest, rtol=0, atol=1e-6)
     if how == "torn":
         assert said & Status.RESTORED
+
+
+def test_a_body_that_stays_inside_out_is_restored_however_slowly_it_swings() -> None:
+    """After five seconds in a row in which nothing touches or moves it, and no sooner."""
+    dt, result = 0.01, np.zeros(11)
+    result[SPEED] = 0.1
+    guard = build_guard(0.01, 1.0, driven=True, sleeps=True)
+    inverted = int(Status.INVERTED | Status.LIMIT_EXCEEDED)
+
+    def steps(count: int, status: int = inverted, moves: bool = False) -> list[int]:
+        return [judge(guard, status, result, moves, False, dt) for _ in range(count)]
+
+    for interrupted in ({"status": int(Status.LIMIT_EXCEEDED)}, {"moves": True}):
+        assert set(steps(400) + steps(1, **interrupted) + steps(499)) == {GOES_ON}
+        assert steps(1) == [RESTORED]
+        wake(guard)
+    result[CONTACTS] = 1.0
+    assert set(steps(1000)) == {GOES_ON}
 
 
 def test_a_press_beyond_all_limits_is_not_restored() -> None:
