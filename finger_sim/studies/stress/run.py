@@ -67,12 +67,14 @@ class Outcome:
 class StepClock:
     """Processor time of a step [s], of the thread that makes this: waiting for a processor does not count.
 
-    A step of more than `limit` is a hang. `hung` is called from another thread when such a step has not returned.
+    A step of more than `limit` is a hang. `hung` is called from another thread when such a step has not returned; until
+    `close`.
     """
 
     def __init__(self, limit: float = STEP_LIMIT, hung: Callable[[], None] | None = None) -> None:
         self.limit = limit
         self._began = math.inf
+        self._closed = threading.Event()
         if hung is not None and hasattr(time, "pthread_getcpuclockid"):
             clock = time.pthread_getcpuclockid(threading.get_ident())
             threading.Thread(target=self._look, args=(clock, hung), daemon=True).start()
@@ -86,11 +88,16 @@ class StepClock:
         spent, self._began = time.thread_time() - self._began, math.inf
         return spent
 
+    def close(self) -> None:
+        """No step is looked at any more, not even one that was begun and raised."""
+        self._closed.set()
+
     def _look(self, clock: int, hung: Callable[[], None]) -> None:
         with contextlib.suppress(OSError):  # the thread that is looked at has ended
-            while time.clock_gettime(clock) - self._began <= self.limit:
-                time.sleep(min(1.0, 0.5 * self.limit))
-            hung()
+            while not self._closed.wait(min(1.0, 0.5 * self.limit)):
+                if time.clock_gettime(clock) - self._began > self.limit:
+                    hung()
+                    return
 
 
 def run(case: Case, make: MakeSimulator = Simulator, clock: StepClock | None = None) -> Outcome:

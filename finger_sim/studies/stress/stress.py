@@ -9,6 +9,7 @@ failed    a number that is not finite, an exception, no end, wrong without a wor
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import itertools
@@ -81,16 +82,16 @@ def stress(what: Options, progress: Meter = lambda done, all_there_are: None) ->
     outcomes: list[Outcome] = []
     written: list[Path] = []
     under_way: list[Case] = []
-    clock = StepClock(hung=lambda: _end(under_way[-1], what.out))
-    for case in itertools.chain(first, fuzz):
-        if what.minutes is not None and time.monotonic() - began > 60.0 * what.minutes:
-            break
-        under_way[:] = [case]
-        outcome = run(case, clock=clock)
-        outcomes.append(outcome)
-        if outcome.kind == "failed":
-            written.append(_written(case, outcome, what.out))
-        progress(len(outcomes), total)
+    with contextlib.closing(StepClock(hung=lambda: _end(under_way[-1], what.out))) as clock:
+        for case in itertools.chain(first, fuzz):
+            if what.minutes is not None and time.monotonic() - began > 60.0 * what.minutes:
+                break
+            under_way[:] = [case]
+            outcome = run(case, clock=clock)
+            outcomes.append(outcome)
+            if outcome.kind == "failed":
+                written.append(_written(case, outcome, what.out))
+            progress(len(outcomes), total)
     return Report(tuple(outcomes), total - len(outcomes), tuple(written))
 
 

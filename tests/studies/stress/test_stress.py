@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import random
@@ -179,6 +180,18 @@ stress.stress(stress.Options(cases=0, out=Path(sys.argv[1])))
     assert "hang: a step does not return" in done.stderr
     (folder,) = (tmp_path / "failed").iterdir()
     assert "does not return" in (folder / "README.txt").read_text()
+
+
+def test_a_step_that_raised_ends_nothing_once_the_study_is_over() -> None:
+    """It never returned; what the process does afterwards is none of the clock's business."""
+    ended = []
+    with contextlib.closing(StepClock(0.05, lambda: ended.append(True))) as clock:
+        assert run(small(), fake(raises), clock).failures[0].startswith("crash")
+        clock.begin()
+    until = time.thread_time() + 0.3
+    while time.thread_time() < until:
+        pass
+    assert ended == []
 
 
 @for_each("volumetric", ["element", "patch"])
