@@ -197,15 +197,15 @@ def test_a_message_in_parts_is_one(served) -> None:
         until(lambda: served.source.poses == [POSE])
 
 
-@for_each("size, code", [(65 * 1024, 1009), (2**21, 1009)])
-def test_a_message_that_is_too_long_ends_the_connection(size, code, served) -> None:
-    """With the code for it; others are not disturbed."""
+@for_each("size, codes", [(65 * 1024, {1009}), (2**21, {1009, 1006})])
+def test_a_message_that_is_too_long_ends_the_connection(size, codes, served) -> None:
+    """With the code for it; others are not disturbed. The reset of what was not read may overtake the code: 1006."""
     with served.page() as other, served.page() as page:
         page.next("hello")
         with contextlib.suppress(ConnectionClosed):
             page.socket.send(" " * size)
         page.until_closed()
-        assert page.socket.protocol.close_code == code
+        assert page.socket.protocol.close_code in codes
         count = len(other.frames)
         other.until(lambda: len(other.frames) > count + 2)
 
