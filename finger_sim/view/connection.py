@@ -28,6 +28,8 @@ REQUEST_TIMEOUT = 10.0
 """Within this a request must have come [s]."""
 MOST_WAITING = 1_000_000
 """Bytes that may wait for a reader; one that lets more come together has stopped reading and is let go."""
+FAREWELL = 2.0
+"""For so long what a page still sends is read and dropped once it has been told why it is let go [s]."""
 CROWDED = 256_000
 """Waiting bytes from which on what is not needed is not sent."""
 
@@ -64,6 +66,7 @@ class Connection(asyncio.Protocol):
         self._parts: list[bytes] = []
         self._is_text = True
         self._task: asyncio.Task[None] | None = None
+        self._ends = False
         self.heard = 0.0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -136,16 +139,25 @@ class Connection(asyncio.Protocol):
                 self._take(event)
         self._write()
         if self._socket.close_expected() and self._task is None:
-            self._transport.close()
+            self._end()
 
     def _write(self) -> None:
         for data in self._socket.data_to_send():
             if data:
                 self._transport.write(data)
             elif self._task is None:
-                self._transport.close()  # after what waits
+                self._end()
         if self._peer is not None and self.waiting > MOST_WAITING:
             self.abort()
+
+    def _end(self) -> None:
+        """Nothing is sent after what waits. What a page still sends is read: else a reset overtakes the reason."""
+        if self._peer is None:
+            self._transport.close()
+        elif not self._ends:
+            self._ends = True
+            self._transport.write_eof()
+            self._timer = asyncio.get_running_loop().call_later(FAREWELL, self.abort)
 
     def _take(self, frame: Frame) -> None:
         """A frame of a message."""
