@@ -12,23 +12,33 @@ PERIOD = 1e-3
 STEPS = 12_000
 
 
+def followed(
+    came: NDArray[np.float64], steps: int, interval: float = PERIOD, moves: bool = True
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """Of each step: how long its command waited [s], −1 where none came; how many came for it; the move after it [s]."""
+    phase, shift, newest = no_phase(PERIOD), 0.0, -1
+    wait, count, by = np.full(steps, -1.0), np.zeros(steps, np.int64), np.zeros(steps)
+    for k in range(steps):
+        begins = shift + k * PERIOD
+        before, newest = newest, int(np.searchsorted(came, begins, "right")) - 1
+        count[k] = newest - before
+        if count[k] > 0:
+            wait[k] = begins - came[newest]
+        by[k] = moved(phase, PERIOD, interval, wait[k])
+        shift += by[k] if moves else 0.0
+    return wait, count, by
+
+
 def waits(interval: float, jitter: float, moves: bool = True) -> tuple[NDArray[np.float64], int, float]:
     """Of the commands of the last 4,000 steps [s], how many of these had none, and how far deadlines were moved [s]."""
     came = 0.3 * PERIOD + interval * np.arange(int(STEPS * PERIOD / interval) + 100)
     came = np.sort(came + np.abs(np.random.default_rng(0).normal(0.0, jitter, len(came))))
-    phase, shift, newest, out, without = no_phase(PERIOD), 0.0, -1, [], 0
-    for k in range(STEPS):
-        begins = shift + k * PERIOD
-        before, newest = newest, int(np.searchsorted(came, begins, "right")) - 1
-        wait = begins - came[newest] if newest > before else -1.0
-        if k >= STEPS - 4000:
-            without += wait < 0.0
-            out += [wait] if wait >= 0.0 else []
-        by = moved(phase, PERIOD, interval, wait)
-        found = moves and k >= STEPS - 4000 and abs(interval - PERIOD) < 1e-3 * PERIOD
-        assert abs(by) <= PERIOD / (500.0 if found else 200.0)
-        shift += by if moves else 0.0
-    return np.array(out), without, shift
+    wait, _, by = followed(came, STEPS, interval, moves)
+    found = moves and abs(interval - PERIOD) < 1e-3 * PERIOD
+    assert np.abs(by).max() <= PERIOD / 200.0
+    assert np.abs(by[-4000:]).max() <= PERIOD / (500.0 if found else 200.0)
+    last = wait[-4000:]
+    return last[last >= 0.0], int((last < 0.0).sum()), float(by.sum()) if moves else 0.0
 
 
 @pytest.mark.parametrize("interval", [PERIOD, 1.0003 * PERIOD, 0.9997 * PERIOD])
@@ -84,11 +94,6 @@ def test_commands_that_come_just_as_steps_begin_are_found(seed: int) -> None:
     """Half of the steps have none then, and others two: their rate is that of steps all the same."""
     random = np.random.default_rng(seed)
     came = np.sort(PERIOD * np.arange(3000) + random.normal(0.0, 1e-4, 3000))
-    phase, shift, newest, out = no_phase(PERIOD), 0.0, -1, []
-    for k in range(1, 2900):
-        before, newest = newest, int(np.searchsorted(came, shift + k * PERIOD, "right")) - 1
-        wait = shift + k * PERIOD - came[newest] if newest > before else -1.0
-        out.append(newest - before)
-        shift += moved(phase, PERIOD, PERIOD, wait)
-    assert np.count_nonzero(np.array(out[:30]) != 1) > 5
-    assert np.count_nonzero(np.array(out[-1000:]) != 1) < 150
+    _, count, _ = followed(came, 2900)
+    assert np.count_nonzero(count[1:31] != 1) > 5
+    assert np.count_nonzero(count[-1000:] != 1) < 150
