@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import gc
-import os
 import signal
 import struct
 import subprocess
@@ -35,6 +34,7 @@ from sensor_msgs.msg import PointCloud2
 
 from finger_sim import Scene
 from finger_sim.plain import printing
+from finger_sim.ros.loop import prefer_receivers, prefer_this_thread
 from finger_sim.studies.bench.scenes import FLAT, touch_height
 
 DEPTH, STROKE = 1e-3, 2e-3
@@ -153,13 +153,14 @@ class Driver:
     """Sends commands and notes what comes back."""
 
     def __init__(self, scene: Scene, subject: str, args: argparse.Namespace) -> None:
-        if args.priority:  # and that of all threads that begin here
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(args.priority))
         self.height = touch_height(scene) if scene.driven else 0.0
         self.free = subject == "free"
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=int(DOMAIN))
         self.node = rclpy.create_node("driver", context=self.context, enable_rosout=False)
+        if refused := prefer_this_thread(args.priority):
+            raise SystemExit(refused)
+        prefer_receivers(args.priority)
         qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy[args.reliability.upper()])
         self.publisher = self.node.create_publisher(PoseStamped, "command_pose", qos)
         self.node.create_subscription(WrenchStamped, "contact_wrench", self._wrench, 100, raw=True)
@@ -189,7 +190,6 @@ class Driver:
         self.executor.remove_node(self.node)
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
     def series(self, rate: float, seconds: float, pid: int) -> Series:
         """Commands at `rate` [Hz] for so long, after some that are not counted."""

@@ -231,7 +231,7 @@ def prefer_receivers(priority: int) -> None:
     if priority == 0:
         return
     for thread in Path("/proc/self/task").iterdir():
-        with contextlib.suppress(OSError):  # it has ended
+        with contextlib.suppress(OSError):  # it has ended, or that is not permitted
             if (thread / "comm").read_text().startswith(_RECEIVERS):
                 os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
 
