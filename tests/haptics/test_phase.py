@@ -15,7 +15,7 @@ STEPS = 12_000
 def followed(
     came: NDArray[np.float64], steps: int, interval: float = PERIOD, moves: bool = True
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-    """Of each step: how long its command waited [s], −1 where none came; how many came for it; the move after it [s]."""
+    """Of each step: how long its command waited [s], −1: none came; how many came for it; the move after it [s]."""
     phase, shift, newest = no_phase(PERIOD), 0.0, -1
     wait, count, by = np.full(steps, -1.0), np.zeros(steps, np.int64), np.zeros(steps)
     for k in range(steps):
