@@ -218,9 +218,9 @@ def test_a_message_that_is_too_long_ends_the_connection(size, code, served) -> N
 def test_who_sends_on_after_a_farewell_is_let_go(served, monkeypatch) -> None:
     """One that is told why, and neither closes nor stops, is not listened to for ever."""
     monkeypatch.setattr("finger_sim.view.connection.FAREWELL", 0.2)
-    with socket.create_connection(("127.0.0.1", served.port)) as raw:
+    with served.page(), socket.create_connection(("127.0.0.1", served.port)) as raw:
         raw.sendall(UPGRADE)
-        hub = until(lambda: served.source.hub if served.source.hub._clients else None)
+        hub = until(lambda: served.source.hub if len(served.source.hub._clients) == 2 else None)
         raw.sendall(struct.pack("!BBQI", 0x81, 0xFF, 2**40, 0))  # the head of a text that is far too long
 
         def send_on() -> None:
@@ -229,7 +229,7 @@ def test_who_sends_on_after_a_farewell_is_let_go(served, monkeypatch) -> None:
 
         with pytest.raises((ConnectionResetError, BrokenPipeError)):
             send_on()
-        until(lambda: not hub._clients)
+        until(lambda: len(hub._clients) == 1)
 
 
 def test_no_utf8_ends_the_connection(served) -> None:
