@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import fcntl
 import itertools
 import os
-import tempfile
+import socket
 from collections import deque
 from collections.abc import Iterator
-from pathlib import Path
-from typing import IO
 from zlib import crc32
+
+from finger_sim.ros.child import claim_domain
 
 _worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 _workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
@@ -20,24 +19,19 @@ _HELD = 12
 
 
 def _domains() -> Iterator[int]:
-    """1 to 101 in an order of this run, shared out between its processes, without those that another run has."""
-    folder = Path(tempfile.gettempdir()) / f"finger_sim_domains_{os.getuid()}"
-    folder.mkdir(exist_ok=True)
-    held: deque[IO[bytes]] = deque()
+    """1 to 101 in an order of this run, shared out between its processes, without those that somebody else has."""
+    held: deque[socket.socket] = deque()
     failed = 0
     for i in itertools.count(_worker, _workers):
         domain = 17 * (_first + i) % 101 + 1
-        file = (folder / str(domain)).open("wb")
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.close()
+        claim = claim_domain(domain)
+        if claim is None:
             failed += 1
             if failed > 101 and held:
                 held.popleft().close()
             continue
         failed = 0
-        held.append(file)
+        held.append(claim)
         if len(held) > _HELD:
             held.popleft().close()
         yield domain

@@ -69,16 +69,44 @@ def node_process(parameters: Mapping[str, Any], domain: int, log: Path) -> Itera
 
 
 def free_domain() -> int:
-    """A ROS domain, 1 to 101, in which no process of this machine takes part. Raises FingerSimError."""
+    """A ROS domain, 1 to 101, in which no process of this machine takes part. Raises FingerSimError.
+
+    Until this process ends no other call takes it, here or in another process.
+    """
     first = os.getpid() % 101
     for domain in ((first + i) % 101 + 1 for i in range(101)):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", 7400 + 250 * domain + 10))  # where its first participant listens
-            except OSError:
-                continue
+        claim = claim_domain(domain)
+        if claim is None:
+            continue
+        listening = _bound(domain, _FIRST)
+        if listening is not None:
+            listening.close()
+            _claims.append(claim)
             return domain
+        claim.close()
     raise FingerSimError("all ROS domains of this machine are in use")
+
+
+def claim_domain(domain: int) -> socket.socket | None:
+    """Keeps a domain from all others who claim it, until what is returned is closed; None: somebody has it."""
+    return _bound(domain, _CLAIM)
+
+
+_FIRST, _CLAIM = 10, 9
+"""Ports of a domain: the one where its first participant listens, and one of 2 to 9, of which DDS makes no use."""
+_claims: list[socket.socket] = []
+"""Held until the process ends."""
+
+
+def _bound(domain: int, port: int) -> socket.socket | None:
+    """A socket at a port of a domain (RTPS 2.3, 9.6.1.1), which others cannot use then; None: it is in use."""
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        made.bind(("", 7400 + 250 * domain + port))
+    except OSError:
+        made.close()
+        return None
+    return made
 
 
 def last_line(log: Path) -> str:

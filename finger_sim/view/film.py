@@ -35,6 +35,8 @@ NEAR = 0.06
 """How far from a time that was sought the frame may be that is shown for it [s]."""
 PLOT, PANEL = 0.12, 0.8
 """Time in which the plots, and in which the numbers of the panel follow a time that was sought [s]."""
+PAUSE = "button => { if (button.dataset.playing === 'true') button.click(); }"
+"""What ends playing, and does not begin it where the recording has just come to its end."""
 WITHIN, LONGEST = 60.0, 120.0
 """Longest wait for the page, and for one thing that the browser does [s]."""
 
@@ -133,8 +135,7 @@ def _opened(url: str, options: argparse.Namespace) -> Iterator[Page]:
             if not options.panel:
                 page.locator("#fold").click()
             _until(page, lambda data: data["condition"] == "bag" and bool(data.get("finger")))
-            if page.locator("#play[data-playing]").get_attribute("data-playing") == "true":  # once it was told
-                page.locator("#play").click()
+            page.locator("#play[data-playing]").evaluate(PAUSE)  # once it was told
             _until(page, lambda data: data["playing"] == "false")
             yield page
         except Error as error:
