@@ -153,9 +153,9 @@ def cholesky(S: Floats) -> bool:
 
 @stage
 def solve_all(model: Model, state: State, y: Floats) -> None:
-    """Replace y, in slot order, by H⁻¹ y; the driven nodes' slots get what the bone's velocity is to them."""
+    """Replace y, in slot order, by H⁻¹ y, nearly; the driven nodes' slots get what the bone's velocity is to them."""
     if not model.has_bone:
-        solve(model.pattern, state.L_lower, state.L_inverse, y)
+        solve_free(model, state, y)
         return
     nf, S, Y, scratch = model.free.shape[0], state.yielding.S, state.yielding.border_solved, state.yielding.scratch
     b = scratch[0]
@@ -173,7 +173,7 @@ def solve_all(model: Model, state: State, y: Floats) -> None:
         for j in range(i + 1, 6):
             b[i] -= S[j, i] * b[j]
         b[i] /= S[i, i]
-    solve(model.pattern, state.L_lower, state.L_inverse, y)
+    solve_free(model, state, y)
     moves = load8(scratch, 0, 0)
     for k in range(nf):
         for j in range(3):
@@ -183,6 +183,15 @@ def solve_all(model: Model, state: State, y: Floats) -> None:
     for i in range(3):
         y[nf + 1, i], y[nf + 2, i] = b[i], b[3 + i]
     spread(model, state, y)
+
+
+@stage
+def solve_free(model: Model, state: State, y: Floats) -> None:
+    """Replace y by H_ff⁻¹ y; to single precision in a large body."""
+    if state.L_single.shape[0] > 0:
+        solve(model.pattern, state.L_single, state.L_inverse, y)
+    else:
+        solve(model.pattern, state.L_lower, state.L_inverse, y)
 
 
 @stage

@@ -1,7 +1,7 @@
 """The order in which a sparse symmetric matrix of 3 × 3 blocks is factored, and what fills: found once for a graph.
 
-Minimum degree on A's graph, put into postorder. Block row and column numbers are positions in that order ("slots").
-See Davis, *Direct Methods for Sparse Linear Systems*, ch. 4 and 7.
+Minimum degree on A's graph, or nested dissection where that fills less, put into postorder. Block row and column
+numbers are positions in that order ("slots"). See Davis, *Direct Methods for Sparse Linear Systems*, ch. 4 and 7.
 
 A *panel* is a run of neighbouring columns with the same rows below it (a fundamental supernode, or a part of one).
 """
@@ -13,19 +13,20 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from ..arrays import Ints
+from .dissection import Graph, dissect
 from .lanes import aligned
 from .model import Pattern
 
 FEWEST_WORTH, PRODUCTS = 5, 6
 """Iterations that new factors are worth at least: their matrix costs some. Products of blocks that `factor` makes while
 an iteration passes over a block of L."""
+LARGE = 500  # nodes from which on a second order is tried: below, minimum degree is the better one
 WIDEST = 16  # columns of a panel: two rows and two columns of it are read from a near cache again and again
 
 
 def analyse(edges: Ints, nodes: int) -> Pattern:
     """Elimination order and fill for the graph with the given edges, (k, 2), over `nodes` nodes."""
-    order = _minimum_degree(edges, nodes)
-    below = _fill(edges, order)
+    order, below = _least_filled(edges.reshape(-1, 2), nodes)
     post = _postorder(below)
     order, place = order[post], _inverse(post)
     columns = [np.sort(place[list(below[k])]) if below[k] else np.empty(0, np.int64) for k in post]
@@ -51,14 +52,25 @@ def _inverse(permutation: Ints) -> Ints:
     return inverse
 
 
-def _minimum_degree(edges: Ints, nodes: int) -> Ints:
-    """Minimum-degree order of AᵀA's cheaper sibling A + Aᵀ, as SuperLU computes it."""
+def _least_filled(edges: Ints, nodes: int) -> tuple[Ints, list[set[int]]]:
+    """An order of the nodes, and the rows of each column of L in it (`_fill`): that which takes the fewer products."""
     if nodes == 0:
-        return np.empty(0, np.int64)
-    ends = edges.reshape(-1, 2)
-    ones = np.ones(len(ends))
-    graph = scipy.sparse.coo_matrix((ones, (ends[:, 0], ends[:, 1])), shape=(nodes, nodes))
-    dominant = graph + graph.T + scipy.sparse.identity(nodes) * (4.0 * nodes + 4.0)
+        return np.empty(0, np.int64), []
+    ends = edges[edges[:, 0] != edges[:, 1]]
+    once = scipy.sparse.coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(nodes, nodes))
+    graph = scipy.sparse.csr_matrix(once + once.T)
+    graph.data[:] = 1.0
+    orders = [_minimum_degree(graph)]
+    if nodes >= LARGE:
+        orders.append(dissect(graph, _minimum_degree))
+    filled = [(order, _fill(ends, order)) for order in orders]
+    return min(filled, key=lambda found: sum(len(rows) * (len(rows) + 1) for rows in found[1]))
+
+
+def _minimum_degree(graph: Graph) -> Ints:
+    """Minimum-degree order of AᵀA's cheaper sibling A + Aᵀ, as SuperLU computes it."""
+    nodes = graph.shape[0]
+    dominant = graph + scipy.sparse.identity(nodes) * (4.0 * nodes + 4.0)
     factor = scipy.sparse.linalg.splu(
         dominant.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )
@@ -68,9 +80,8 @@ def _minimum_degree(edges: Ints, nodes: int) -> Ints:
 def _fill(edges: Ints, order: Ints) -> list[set[int]]:
     """Rows of each column of L, numbered by place in `order`: A's own, and those of the columns it is the parent of."""
     below: list[set[int]] = [set() for _ in order]
-    for a, b in _inverse(order)[edges.reshape(-1, 2)].tolist():
-        if a != b:
-            below[min(a, b)].add(max(a, b))
+    for a, b in _inverse(order)[edges].tolist():
+        below[min(a, b)].add(max(a, b))
     for column in below:
         if column:
             parent = min(column)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ..arrays import Floats
+from ..arrays import Floats, Singles
 from .border import factor_bone
-from .compile import formula, stage
+from .compile import formula, kernel, stage
 from .dilatation import add_patch_rows
 from .lanes import Lanes, bits, lane, load4, scatter3x4, splat4, sqrt, store4, where
 from .linear_solver import factor
@@ -24,8 +24,21 @@ def factor_elastic(model: Model, state: State) -> bool:
     """Factors of A alone. False if A is not positive definite."""
     load_elastic(model, state)
     definite = factor(model.pattern, state.L_blocks, state.L_inverse)
+    keep_single(state.L_lower, state.L_single)
     state.newton.factors[0] = OF_A if definite else NONE
     return definite
+
+
+@kernel
+def keep_single(lower: Floats, single: Singles) -> None:
+    """L in single precision, of a body that has room for it: what is read from far caches is half as much.
+
+    Directions from it are as good: residuals are exact.
+    """
+    for p in range(single.shape[0]):
+        for j in range(3):
+            for i in range(4):
+                single[p, j, i] = lower[p, j, i]
 
 
 @stage
@@ -66,6 +79,7 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int) -> 
     if patched:
         add_patch_rows(model, state, blocks)
     definite = factor(model.pattern, blocks, state.L_inverse)
+    keep_single(state.L_lower, state.L_single)
     if definite and model.has_bone:
         if model.projection == TENSOR:
             rows = pack_rows(model, state, contacts, True)

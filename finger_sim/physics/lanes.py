@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Floats, Ints
+from ..arrays import Floats, Ints, Singles
 
 LANES = 8  # tetrahedra side by side in registers: one vector of AVX-512, two of AVX2
 BATCH = 32  # tetrahedra side by side in a plain loop that is left to LLVM to vectorise
@@ -47,9 +47,9 @@ def _place(a: Any, i: int, k: int, width: int) -> Any:
     return a.reshape(len(a), -1)[i, width * k : width * (k + 1)]
 
 
-def load4(a: Floats, i: int, k: int) -> Lanes:
-    """Group k of entry i: four numbers."""
-    return _place(a, i, k, 4).copy()
+def load4(a: Floats | Singles, i: int, k: int) -> Lanes:
+    """Group k of entry i: four numbers, which may be stored in single precision."""
+    return np.array(_place(a, i, k, 4), np.float64)
 
 
 def load8(a: Floats, i: int, k: int) -> Lanes:

@@ -14,13 +14,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..arrays import Floats, Ints
+from ..arrays import Floats, Ints, Singles
 from .compile import REGISTERS_OF_EIGHT, kernel
 from .lanes import Lanes, fill4, fill8, high4, join8, lane, load4, load8, low4, splat4, splat8, store4, store8, sums3
 from .model import Pattern
 
 NODES_AT_ONCE = 16  # `solve_many` solves for the right-hand sides of so many nodes:
 SIDES_AT_ONCE = 3 * NODES_AT_ONCE  # a fixed, contiguous inner loop that vectorises
+MANY_BLOCKS = 16_000  # of L, 1.5 MB: from here on it is not all in a processor's own cache
 
 
 @kernel
@@ -163,8 +164,11 @@ def _invert(a: Lanes, b: Lanes, c: Lanes, inverse: Floats, k: int) -> bool:
 
 
 @kernel
-def solve(pattern: Pattern, lower: Floats, inverse: Floats, y: Floats) -> None:
-    """Replace y (nf or more, 4), in slot order, by A⁻¹ y; y[:, 3] becomes 0, as the padding of inverse is."""
+def solve(pattern: Pattern, lower: Floats | Singles, inverse: Floats, y: Floats) -> None:
+    """Replace y (nf or more, 4), in slot order, by A⁻¹ y; y[:, 3] becomes 0, as the padding of inverse is.
+
+    lower may be in single precision.
+    """
     start, row = pattern.start, pattern.row
     nf = inverse.shape[0]
     for k in range(nf):

@@ -163,7 +163,8 @@ def _pointer(context: Any, builder: Any, array: Any, value: Any, i: Any, k: Any,
     struct = context.make_array(array)(context, builder, value)
     stride = cgutils.unpack_tuple(builder, struct.strides, array.ndim)[0]
     size = ir.IntType(64)
-    offset = builder.add(builder.mul(i, stride), builder.mul(k, ir.Constant(size, 8 * width)))
+    group = width * context.get_abi_sizeof(context.get_data_type(array.dtype))
+    offset = builder.add(builder.mul(i, stride), builder.mul(k, ir.Constant(size, group)))
     base = builder.bitcast(struct.data, ir.IntType(8).as_pointer())
     return builder.gep(base, [offset])
 
@@ -209,7 +210,11 @@ for _width, _kind, _read, _write, _splats, _fill in (
     @_function(_read, lambda a, i, k, kind=_kind: kind, _PLACE)
     def _lower_load(context: Any, builder: Any, sig: Any, args: Any, width: int = _width) -> Any:
         i, k = (_index(context, builder, sig, args, n) for n in (1, 2))
-        return _load(builder, _pointer(context, builder, sig.args[0], args[0], i, k, width), width)
+        pointer = _pointer(context, builder, sig.args[0], args[0], i, k, width)
+        if sig.args[0].dtype == types.float32:
+            single = builder.load(_as(builder, pointer, ir.VectorType(ir.FloatType(), width)), align=4)
+            return builder.fpext(single, ir.VectorType(ir.DoubleType(), width))
+        return _load(builder, pointer, width)
 
     @_function(_write, lambda a, i, k, v: types.none, (*_PLACE, _kind))
     def _lower_store(context: Any, builder: Any, sig: Any, args: Any, width: int = _width) -> Any:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ..arrays import Floats, Ints
+from ..arrays import Floats, Ints, Singles
 
 
 class Pattern(NamedTuple):
@@ -299,6 +299,7 @@ class State(NamedTuple):
     slot_product: Floats  # (slots, 4) scratch
     L_blocks: Floats  # (nf + nnz + 1, 3, 4) factorisation: see linear_solver.factor
     L_lower: Floats  # (nnz, 3, 4) of it: L below its diagonal
+    L_single: Singles  # (nnz, 3, 4) L_lower of a large body once more, for Newton's directions: see hessian.keep_single
     L_inverse: Floats  # (nf, 3, 4) D⁻¹
 
     # The rows of contact, then those of limits.

@@ -38,6 +38,7 @@ from .dilatation import add_patch_forces, patch_rates
 from .elasticity import slot_velocities
 from .hessian import NONE, OF_A, OF_ANOTHER, factor_elastic, refactor
 from .lanes import load4, splat4, store4, sum3
+from .linear_solver import solve
 from .methods import TENSOR
 from .model import Model, State
 from .tensor_rows import copy_groups, tensor_forces
@@ -76,7 +77,7 @@ def newton(
         lap(state.laps, state.time, SOLVE)
         definite = factors[0] == OF_A or factor_elastic(model, state)
         lap(state.laps, state.time, FACTOR)
-        solve_all(model, state, direction)
+        solve(model.pattern, state.L_lower, state.L_inverse, direction)
         add_to_velocities(model, state, direction)
         return 0, 0.0, definite
     own.holds[0] = 0

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import Floats
 from .lanes import BATCH, LANES, aligned, aligned_copy
-from .linear_solver import SIDES_AT_ONCE
+from .linear_solver import MANY_BLOCKS, SIDES_AT_ONCE
 from .methods import LINEAR, NONE, ORTHOGONAL, PGS, TENSOR
 from .model import Model, Newton, Pgs, Principal, Relaxing, State, Tensor, Yielding
 from .tensor_rows import MOST_DIRECTIONS
@@ -149,6 +149,7 @@ def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
         "slot_product": aligned(size.slots, 4),
         "L_blocks": blocks,
         "L_lower": blocks[size.free : size.free + below],
+        "L_single": np.zeros((below if below >= MANY_BLOCKS and not size.pgs else 0, 3, 4), np.float32),
         "L_inverse": aligned(size.free, 3, 4),
     }
 

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from step_problem import LIMITS, ORTHOGONAL, Problem, check_against_qp, check_with_friction, stepped
 
 from finger_sim import Pose, Scene, SceneError, Simulator, Status
+from finger_sim.physics import workspace
 from finger_sim.physics.ready import ready
 from finger_sim.physics.rotations import matrix
 from finger_sim.physics.strain_limits import SOLVER_GAP
@@ -74,6 +75,25 @@ def checked(sim: Simulator, command: Any, check: Any, least: int, most: int, ste
             assert healthy(out)
             limited = out.limited_tets
     return count
+
+
+@for_each("coupling", [{}, {"coupling": {"type": "virtual", "stiffness": 2e3, "damping": 2.0}}])
+def test_directions_in_single_precision_lead_to_the_same(coupling: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A press and a slide of a body that counts as a large one, of a driven bone and of one that yields."""
+    scene, forces, work = block(limits=limits("tensor"), **coupling), [], []
+    for most in (workspace.MANY_BLOCKS, 0):
+        monkeypatch.setattr(workspace, "MANY_BLOCKS", most)
+        sim = Simulator(scene)
+        assert (sim._state.L_single.shape[0] > 0) == (most == 0)
+        outs = [sim.step(sliding(k)) for k in range(60)]
+        assert all(healthy(out) for out in outs)
+        forces.append([out.contact_wrench[:3] for out in outs])
+        work.append(sum(out.iterations for out in outs))
+        if most == 0:
+            assert_allclose(sim._state.L_single, sim._state.L_lower, rtol=1e-6, atol=1e-30)
+    one, other = np.array(forces)
+    assert_allclose(other, one, rtol=0, atol=1e-8 * np.abs(one).max())
+    assert work[1] < 1.1 * work[0]
 
 
 @MORE

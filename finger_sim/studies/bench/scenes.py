@@ -75,7 +75,7 @@ PHASES = ("air", "press", "slide")
 """Sideways in free air; straight down, then held; along the table."""
 AIR, HOLD, SLIDE = 100, 100, 250
 """Steps of the phases at full length, without those of the way down."""
-SCALES = {4000: 0.2, 16000: 0.05}
+SCALES = {4000: 0.2}
 """Share of AIR, HOLD and SLIDE run at a size; 1 where not named."""
 
 CANTILEVER = "beam_stiff"
