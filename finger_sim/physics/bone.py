@@ -130,6 +130,31 @@ def bone_residual(model: Model, state: State, h: float, change: Floats, r: Float
 
 
 @stage
+def bone_slope(model: Model, state: State, h: float, change: Floats, direction: Floats, part: float) -> float:
+    """What spring, stop and weight of `bone_residual` have along `direction`, at change + part · direction."""
+    nf, bone, spring, stop, total = model.free.shape[0], state.yielding, model.spring, state.yielding.stop, 0.0
+    for k in range(2):
+        gives, slot = h * spring[k, 0] + spring[k, 1], nf + 1 + k
+        size = pulled = borne = 0.0
+        for i in range(3):
+            d = direction[slot, i]
+            pull = bone.base[3 * k + i] - gives * (change[slot, i] + part * d)
+            size += pull * pull
+            pulled += pull * d
+            borne += bone.load[3 * k + i] * d
+        size = math.sqrt(size)
+        share = model.spring_limit[k] / size if size > model.spring_limit[k] else 1.0
+        total += h * (share * pulled + borne)
+    if model.has_plane:
+        gap, rate = stop[6], 0.0
+        for i in range(3):
+            gap += h * (stop[i] * change[nf + 1, i] + stop[3 + i] * change[nf + 2, i])
+            rate += h * (stop[i] * direction[nf + 1, i] + stop[3 + i] * direction[nf + 2, i])
+        total += rate * max(0.0, -stop[7] * (gap + part * rate))
+    return total
+
+
+@stage
 def move_bone(model: Model, state: State, h: float) -> None:
     """The bone's pose now: that of the step's start moved by its velocity for h; the finger frame's origin."""
     start, pose, twist = state.bone[:7], state.bone[7:], state.twist

@@ -138,6 +138,8 @@ class Newton(NamedTuple):
     remainder: Floats  # (slots, 4) b − A (v + δ)
     along: Floats  # (slots, 4) what it changes by along `direction`
     next_residual: Floats  # (slots, 4) at the δ on trial
+    gap: Floats  # (rows,) g of each row at δ (along.py)
+    rate: Floats  # (rows,) and what it changes by along `direction`
     stiffness: Floats  # (rows,) what each row adds to the Hessian [N/m]: 1 / compliance where it carries a force
     factors: Ints  # (1,) what the factors in L are of: hessian.NONE …
     slip: Floats  # (contacts, 4) unit slip direction of a node's contact force (world), and μ; zeros: sticks
@@ -204,6 +206,8 @@ class Tensor(NamedTuple):
     key: Ints  # (groups,) 2 · direction + side
     slope: Floats  # (groups, 9, 4) ∂C/∂F, world by material axes; with patches without its own volume strain
     row: Floats  # (groups, 3, 4) what else a row is: see tensor_rows.CONSTANT …
+    gap: Floats  # (groups, 4) g at δ, as Newton.gap
+    rate: Floats  # (groups, 4)
     lam: Floats  # (groups, 4) row forces; 0 where there is no row
     best: Floats  # (groups, 4) those of the least residual so far
     lane_J: Floats  # (8, 4 k, 4) scratch: k gradients of each of eight or four tetrahedra, by nodes

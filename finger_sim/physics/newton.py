@@ -30,11 +30,12 @@ from __future__ import annotations
 import math
 
 from ..arrays import Floats
+from .along import begin_gaps, move_gaps, pressed_by, row_rates, row_slope
 from .bone import bone_residual
 from .border import solve_all
 from .clock import FACTOR, SOLVE, lap, seconds
 from .compile import stage
-from .dilatation import add_patch_forces, patch_rates
+from .dilatation import add_patch_forces
 from .elasticity import slot_velocities
 from .hessian import NONE, OF_A, OF_ANOTHER, factor_elastic, refactor
 from .lanes import load4, splat4, store4, sum3
@@ -82,6 +83,7 @@ def newton(
         return 0, 0.0, definite
     own.holds[0] = 0
     clear(change)
+    begin_gaps(model, state, contacts, rows)
     copy(own.next_residual, own.remainder)
     residual, missing = evaluate(model, state, h, contacts, rows, change)
     if not missing < math.inf:
@@ -118,7 +120,7 @@ def newton(
                 return iterations, residual, False
         before = residual
         ascent = newton_direction(model, state, h, contacts, stale)
-        residual, missing = search(model, state, h, contacts, rows, tolerance, ascent, stale)
+        residual, missing = search(model, state, h, contacts, rows, ascent, stale)
         iterations += 1
         copy(change, tried)
         if not missing < math.inf:
@@ -191,7 +193,7 @@ def newton_direction(model: Model, state: State, h: float, contacts: int, correc
 
 @stage
 def search(
-    model: Model, state: State, h: float, contacts: int, rows: int, tolerance: float, ascent: float, new: bool
+    model: Model, state: State, h: float, contacts: int, rows: int, ascent: float, new: bool
 ) -> tuple[float, float]:
     """Go along `direction`, all of it or a part; what `evaluate` gives there, δ in `tried`. new: it is of new factors.
 
@@ -201,24 +203,24 @@ def search(
     direction, along = own.direction, own.along
     clear(along)
     subtract_product(nf, model.block_row, model.block_column, state.A, direction, along)
+    row_rates(model, state, h, contacts, rows, direction)
+    linear, bend = inner(direction, own.remainder), inner(direction, along)
     too_far = (_SLACK if new else _TOO_FAR) * ascent
-    part, ahead, low, high, low_ahead, high_ahead = 1.0, ascent, 0.0, 1.0, ascent, -ascent
-    residual = missing = math.inf
+    part, low, high, low_ahead, high_ahead = 1.0, 0.0, 1.0, ascent, -ascent
     for trial in range(_TRIALS):
-        if trial > 0:
-            if ahead > 0.0:
-                low, low_ahead, high_ahead = part, ahead, 0.5 * high_ahead if trial > 2 else high_ahead
-            else:
-                high, high_ahead, low_ahead = part, ahead, 0.5 * low_ahead if trial > 2 else low_ahead
-            part = low + (high - low) * max(0.05, min(0.95, low_ahead / (low_ahead - high_ahead)))
-        add(own.tried, own.change, direction, part)
-        add(own.next_residual, own.remainder, along, part)
-        residual, missing = evaluate(model, state, h, contacts, rows, own.tried)
-        ahead = inner(direction, own.next_residual)
-        if residual <= tolerance or (ahead >= -too_far if trial == 0 else abs(ahead) <= _SLACK * ascent):
+        ahead = linear + part * bend + row_slope(model, state, h, contacts, rows, part)
+        if ahead >= -too_far if trial == 0 else abs(ahead) <= _SLACK * ascent:
             break
+        if ahead > 0.0:
+            low, low_ahead, high_ahead = part, ahead, 0.5 * high_ahead if trial > 2 else high_ahead
+        else:
+            high, high_ahead, low_ahead = part, ahead, 0.5 * low_ahead if trial > 2 else low_ahead
+        part = low + (high - low) * max(0.05, min(0.95, low_ahead / (low_ahead - high_ahead)))
+    move_gaps(model, state, contacts, rows, part)
+    add(own.tried, own.change, direction, part)
     add(own.remainder, own.remainder, along, part)
-    return residual, missing
+    copy(own.next_residual, own.remainder)
+    return evaluate(model, state, h, contacts, rows, own.tried)
 
 
 @stage
@@ -231,16 +233,16 @@ def remainder(model: Model, state: State) -> None:
 
 @stage
 def evaluate(model: Model, state: State, h: float, contacts: int, rows: int, change: Floats) -> tuple[float, float]:
-    """Add the rows' forces at δ = `change` to next_residual, which holds b − A (v + δ); their part of the Hessian.
+    """Add the rows' forces at δ = `change` and its gaps to next_residual, b − A (v + δ); their part of the Hessian.
 
     Returns the residual, and the largest force missing [N].
     """
     r, nf = state.newton.next_residual, model.free.shape[0]
-    pressed = contact_forces(model, state, h, contacts, change)
+    pressed = contact_forces(model, state, h, contacts)
     if model.projection == TENSOR:
-        largest = max(pressed, tensor_forces(model, state, h, change))
+        largest = max(pressed, tensor_forces(model, state, h))
     else:
-        largest = max(pressed, limit_forces(model, state, h, contacts, rows, change))
+        largest = max(pressed, limit_forces(model, state, h, contacts, rows))
     store4(r, nf, 0, splat4(0.0))
     if model.has_bone:
         bone_residual(model, state, h, change, r)
@@ -266,6 +268,9 @@ def evaluate_anew(model: Model, state: State, h: float, contacts: int, rows: int
     slot_velocities(model, state)
     add(state.slot_velocity, state.slot_velocity, own.change, 1.0)
     remainder(model, state)
+    row_rates(model, state, h, contacts, rows, own.change)
+    begin_gaps(model, state, contacts, rows)
+    move_gaps(model, state, contacts, rows, 1.0)
     copy(own.next_residual, own.remainder)
     return evaluate(model, state, h, contacts, rows, own.change)
 
@@ -279,29 +284,22 @@ def hold_friction(model: Model, state: State, h: float, contacts: int, rows: int
 
 
 @stage
-def contact_forces(model: Model, state: State, h: float, contacts: int, change: Floats) -> float:
+def contact_forces(model: Model, state: State, h: float, contacts: int) -> float:
     """The part of contacts in `evaluate`, with slip directions; the largest normal force."""
     own, J, lam, row_slot = state.newton, state.J, state.lam, state.row_slot
-    r, stiffness, slip = own.next_residual, own.stiffness, own.slip
-    constant, compliance, mu_friction = state.constant, state.compliance, model.mu_friction
-    holds, bound = own.holds[0] != 0, own.bound
+    r, gaps, stiffness, slip, compliance = own.next_residual, own.gap, own.stiffness, own.slip, state.compliance
     largest = 0.0
     for c in range(contacts // 3):
         row = 3 * c
         slot = row_slot[row, 0]
-        d = load4(change, slot, 0)
-        n, t1, t2 = load4(J, row, 0), load4(J, row + 1, 0), load4(J, row + 2, 0)
-        normal = max(0.0, -(constant[row] + h * sum3(n * d)) / compliance[row])
-        cone = bound[c] if holds else mu_friction * normal
+        normal, a, b, share = pressed_by(model, state, c, gaps[row], gaps[row + 1], gaps[row + 2])
         slip[c] = 0.0
-        if normal > 0.0 or cone > 0.0:
-            a = -(constant[row + 1] + h * sum3(t1 * d)) / compliance[row + 1]
-            b = -(constant[row + 2] + h * sum3(t2 * d)) / compliance[row + 2]
-            size, share = math.sqrt(a * a + b * b), 1.0
-            if size > cone:
-                share = cone / size
+        if normal > 0.0 or share > 0.0:
+            n, t1, t2 = load4(J, row, 0), load4(J, row + 1, 0), load4(J, row + 2, 0)
+            if share < 1.0:
+                size = math.sqrt(a * a + b * b)
                 store4(slip, c, 0, t1 * (a / size) + t2 * (b / size))
-                slip[c, 3] = 0.0 if holds else mu_friction
+                slip[c, 3] = 0.0 if own.holds[0] != 0 else model.mu_friction
             lam[row], lam[row + 1], lam[row + 2] = normal, a * share, b * share
             stiffness[row] = 1.0 / compliance[row] if normal > 0.0 else 0.0
             stiffness[row + 1] = share / compliance[row + 1]
@@ -314,44 +312,26 @@ def contact_forces(model: Model, state: State, h: float, contacts: int, change: 
 
 
 @stage
-def limit_forces(model: Model, state: State, h: float, contacts: int, rows: int, change: Floats) -> float:
+def limit_forces(model: Model, state: State, h: float, contacts: int, rows: int) -> float:
     """The part of limits in `evaluate`; the largest nodal force."""
     own, J, lam, row_slot, scale = state.newton, state.J, state.lam, state.row_slot, state.scale
-    r, stiffness = own.next_residual, own.stiffness
-    constant, compliance = state.constant, state.compliance
+    r, stiffness, compliance, patches = own.next_residual, own.stiffness, state.compliance, model.patches.lane
+    row_tet, row_part, sums, patched = state.row_tet, state.row_part, state.patch_force, len(model.patches.volume) > 0
     largest, held = 0.0, 0
-    own_patches, row_tet, row_part = model.patches, state.row_tet, state.row_part
-    patched, patches, rates, sums = (
-        own_patches.volume.shape[0] > 0,
-        own_patches.lane,
-        state.patch_rate,
-        state.patch_force,
-    )
-    if patched and rows > contacts:
-        patch_rates(model, state, own_patches.slot, change)
+    if patched:
         sums[:] = 0.0
     for row in range(contacts, rows):
-        s0, s1, s2, s3 = row_slot[row, 0], row_slot[row, 1], row_slot[row, 2], row_slot[row, 3]
-        j0, j1, j2, j3 = load4(J, row, 0), load4(J, row, 1), load4(J, row, 2), load4(J, row, 3)
-        moved = j0 * load4(change, s0, 0) + j1 * load4(change, s1, 0)
-        moved = moved + j2 * load4(change, s2, 0) + j3 * load4(change, s3, 0)
-        total, patch, part = sum3(moved), 0, 0.0
-        if patched:
-            t = row_tet[row]
-            patch, part = patches[t // 8, t % 8], row_part[row]
-            total += part * rates[patch]
-        force = -(constant[row] + h * total) / compliance[row]
+        force = -own.gap[row] / compliance[row]
         if force > 0.0:
             lam[row], stiffness[row] = force, 1.0 / compliance[row]
             held += 1
             if patched:
-                sums[patch] += part * force
+                t = row_tet[row]
+                sums[patches[t // 8, t % 8]] += row_part[row] * force
             largest = max(largest, force * scale[row])
-            force *= h
-            store4(r, s0, 0, load4(r, s0, 0) + j0 * force)
-            store4(r, s1, 0, load4(r, s1, 0) + j1 * force)
-            store4(r, s2, 0, load4(r, s2, 0) + j2 * force)
-            store4(r, s3, 0, load4(r, s3, 0) + j3 * force)
+            for n in range(4):
+                slot = row_slot[row, n]
+                store4(r, slot, 0, load4(r, slot, 0) + load4(J, row, n) * (h * force))
         else:
             lam[row] = stiffness[row] = 0.0
     if patched and held > 0:

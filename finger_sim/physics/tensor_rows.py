@@ -278,34 +278,26 @@ def _scaled(M: Matrix, by: Lanes) -> Matrix:
 
 
 @stage
-def tensor_forces(model: Model, state: State, h: float, change: Floats) -> float:
-    """Forces of the rows at δ = `change` into Tensor.lam, and what they give nodes to next_residual.
+def tensor_forces(model: Model, state: State, h: float) -> float:
+    """Forces of the rows at their gaps into Tensor.lam, and what they give nodes to next_residual.
 
     Returns the largest nodal force.
     """
     tensor, own, r = state.tensor, model.patches, state.newton.next_residual
     first, slopes, row, lam, keys = tensor.first, tensor.slope, tensor.row, tensor.lam, tensor.key
-    gradients, slots, rates, sums = model.lane_gradients, model.lane_slot, state.patch_rate, state.patch_force
-    patched, none = own.volume.shape[0] > 0, splat4(0.0)
-    largest = swelling = none
+    gradients, slots, sums = model.lane_gradients, model.lane_slot, state.patch_force
+    patched, largest, none = own.volume.shape[0] > 0, splat4(0.0), splat4(0.0)
     if patched:
-        patch_rates(model, state, own.slot, change)
         sums[:] = 0.0
     for four in range(first.shape[0] - 1):
         if first[four] == first[four + 1]:
             continue
         b, half = four // 2, four % 2
-        rate = rate_of(change, slots, gradients, b, half)
         p0 = p1 = p2 = p3 = p4 = p5 = p6 = p7 = p8 = pushed = none
-        if patched:
-            swelling = pick4(rates, own.lane, b, half) * (1.0 / 3.0)
         for k in range(first[four], first[four + 1]):
-            slope = load_group(slopes, k)
-            s0, s1, s2, s3, s4, s5, s6, s7, s8 = slope
-            total = double_dot(slope, rate)
+            force = maximum(-load4(tensor.gap, k, 0) * load4(row, k, STIFFNESS), none)
+            s0, s1, s2, s3, s4, s5, s6, s7, s8 = load_group(slopes, k)
             outwards = 2.0 * (keys[k] % 2) - 1.0
-            g = load4(row, k, CONSTANT) + h * (total + outwards * swelling)
-            force = maximum(-g * load4(row, k, STIFFNESS), none)
             store4(lam, k, 0, force)
             largest = maximum(largest, force * force * load4(row, k, SQUARE))
             pushed = pushed + outwards * force
