@@ -34,12 +34,14 @@ from .turning import add_turning, resist_driven
 from .vectors import add, clear, copy8, subtract_product
 from .work import MATRICES
 
+ELASTIC, TURNING = 1, 2  # parts of A that are formed by themselves: all but add_turning's, and that
+ALL_OF_A = ELASTIC | TURNING
 _CHANGED = 0.3  # of the largest limit force of a tetrahedron, by which one may change while steps share A
 
 
 @stage
-def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> None:
-    """A into state.A (if `anew`) and b into state.rhs (slot order).
+def assemble(model: Model, state: State, h: float, again: bool) -> None:
+    """A into state.A, what is stale of it, and b into state.rhs (slot order).
 
     state.v holds the velocities of the step's start on free nodes and those of this step on driven ones [m/s].
     `again`: state.x is an estimate x₀ + h v* of the step's end, v* in state.v and v₀ in state.v_start; then, with f and
@@ -61,19 +63,19 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
             for i in range(3):
                 rhs[nf + 3 + d, i] = masses[n] * (v[n, i] + h * gravity[i])
     beta = model.damping_stiffness
-    if anew:
+    elastic = state.stale[0] & ELASTIC != 0
+    if elastic:
         copy8(state.turning_force, state.limit_force, 1)
     if model.patches.volume.shape[0] > 0:
         patch_pressures(model, state, beta if again else h + beta)
-    stresses(model, state, h, beta if again else h + beta, anew)
-    if anew:
+    stresses(model, state, h, beta if again else h + beta, elastic)
+    if elastic:
         matrix(model, state, h)
         state.work[MATRICES] += 1
         if model.method == NEWTON:
             copy8(state.turned, state.quaternion, 4)
-    if model.projection == TENSOR and model.limit_compliance > 0.0:
-        if anew:
-            add_turning(model, state, h)
+    if turns(model):
+        form_turning(model, state, h)
         resist_driven(model, state)
     if again:
         w, product, part = state.slot_velocity, state.slot_product, h / (h + beta)
@@ -88,6 +90,33 @@ def assemble(model: Model, state: State, h: float, anew: bool, again: bool) -> N
             for d in range(model.driven.shape[0]):
                 k = nf + 3 + d
                 store4(rhs, k, 0, load4(rhs, k, 0) - load4(w, k, 0) * (inertia * masses[model.driven[d]]))
+
+
+@formula
+def turns(model: Model) -> bool:
+    """Whether A has a part that resists turning."""
+    does: bool = model.projection == TENSOR and model.limit_compliance > 0.0
+    return does
+
+
+@stage
+def form_turning(model: Model, state: State, h: float) -> None:
+    """What of A resists turning: anew where it is stale, and put to the rest of A where that is anew."""
+    A, own, stale = state.A, state.turning_A, state.stale[0]
+    if own.shape[0] == 0 or model.turn == 1.0 or model.relinearizations > 0:  # each step has its own
+        add_turning(model, state, A, h)
+        return
+    if stale & TURNING != 0:
+        for k in range(A.shape[0]):
+            for j in range(3):
+                if stale == TURNING:
+                    store4(A, k, j, load4(A, k, j) - load4(own, k, j))
+                store4(own, k, j, splat4(0.0))
+        add_turning(model, state, own, h)
+    if stale != 0:
+        for k in range(A.shape[0]):
+            for j in range(3):
+                store4(A, k, j, load4(A, k, j) + load4(own, k, j))
 
 
 @stage

@@ -270,7 +270,7 @@ class State(NamedTuple):
     active_rows: Ints  # (T,) rows of each tetrahedron that carry a force
 
     # When a step may take less work: see step.py.
-    age: Ints  # (1,) steps since A was formed
+    stale: Ints  # (1,) parts of A that the next step forms: elasticity.ELASTIC, TURNING
     turned: Floats  # (B, 4, 8) quaternion when A was formed, where steps share it
     motion: Floats  # (1,) rms speed of the nodes at the end of the last step [m/s]
     held: Floats  # (1,) time since the driven nodes last moved [s]
@@ -290,6 +290,7 @@ class State(NamedTuple):
 
     # A v = b, and the factors of A or of what a solver makes of it.
     g: Floats  # (8 B, 4, 4) g_n = R r_n of each node of each tetrahedron [1/m], world
+    turning_A: Floats  # as A: what `add_turning` has in it, where steps share it
     A: Floats  # (nf + na, 3, 4)
     theta: Floats  # (P,) K θ_p [Pa]
     pressure: Floats  # (B, 8) the same of the patch of each tetrahedron

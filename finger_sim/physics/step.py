@@ -11,7 +11,7 @@ from .bone import aim_bone, move_bone, place_driven
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import formula, kernel, stage
 from .contact import contact_rows, deepest, store_contact
-from .elasticity import assemble, limits_changed
+from .elasticity import ALL_OF_A, ELASTIC, TURNING, assemble, limits_changed, turns
 from .hessian import factor_elastic
 from .kinematics import strains_at, turned_far
 from .lanes import load4, store4, sum3
@@ -23,6 +23,7 @@ from .observed import observe_limits
 from .relaxation import BEGIN, END, MOVED
 from .strain_limits import bounded_at
 from .tensor_rows import pack_rows, tensor_rows
+from .turning import AHEAD, ahead_of
 from .vectors import add, copy, copy_first
 from .work import CONTACT_ROWS, LIMITS, LINEAR
 
@@ -96,9 +97,12 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
         tolerance *= _SETTLED
         if state.held_tets[0] > 0 and state.motion[0] * h < _SLOW * model.length:
             wanted = max(wanted, 1)
-    if model.turn == 1.0 or model.method == PGS or wanted > 0 or turned_far(state, model.turn) or limits_changed(state):
-        state.age[0] = 0
-    shares = state.age[0] > 0
+    if model.turn == 1.0 or model.method == PGS or wanted > 0:
+        state.stale[0] = ALL_OF_A
+    elif state.stale[0] == 0 and (turned_far(state, model.turn) or limits_changed(state)):
+        # What turns is formed in the next step, so that none forms all of it; all but rigid limits would tremble.
+        state.stale[0] = ELASTIC if turns(model) and ahead_of(model) == AHEAD else ALL_OF_A
+    shares = state.stale[0] != ALL_OF_A
     if shares:
         copy(state.x_start, state.x)
         copy_first(state.twist_start, state.twist, state.twist.shape[0])
@@ -125,7 +129,6 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
             if not (shares and turned_far(state, _STRAYED)):
                 break
         elif not shares:
-            state.age[0] = 0
             state.result[STATUS] = _REJECTED
             if relaxes:
                 deform(model, state)
@@ -141,7 +144,7 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
         for i in range(7):
             state.bone[i] = state.bone[7 + i]
     lap(state.laps, state.time, KINEMATICS)
-    state.age[0] += 1
+    state.stale[0] = TURNING if state.stale[0] == ELASTIC else 0
     if model.projection != NONE:
         bounded_at(model, state, held_still(model, state))
     lap(state.laps, state.time, ROWS)
@@ -155,12 +158,11 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
     """Velocities of a step that is linearised at state.x: (contact rows, all rows, whether A is positive definite).
 
     again: 0 where x is the step's start, else x and state.v_base are what linearisation number `again` gave before.
-    A is formed anew where state.age is 0: where it has changed by little since it was formed, steps share it.
+    What is stale of A is formed anew: where it has changed by little since it was formed, steps share it.
     """
     work = state.work
     work[LINEAR] += 1
-    anew = state.age[0] == 0
-    assemble(model, state, h, anew, again > 0)  # A and b: backward Euler
+    assemble(model, state, h, again > 0)  # A and b: backward Euler
     if model.has_bone:
         aim_bone(model, state, h, again > 0)
     lap(state.laps, state.time, ASSEMBLY)
@@ -186,7 +188,7 @@ def linear_step(model: Model, state: State, h: float, again: int, tolerance: flo
     lap(state.laps, state.time, ROWS)
     iterations, residual, definite = 0, 0.0, True
     if model.method == NEWTON:
-        iterations, residual, definite = newton(model, state, h, contacts, rows, anew, tolerance)
+        iterations, residual, definite = newton(model, state, h, contacts, rows, state.stale[0] != 0, tolerance)
     elif rows > 0:
         iterations, residual = apart.solve_by_sweeps(model, state, h, contacts, rows)  # v = v_free + h A⁻¹ Jᵀ λ
     if not residual <= model.tolerance:
@@ -223,7 +225,7 @@ def put_back(model: Model, state: State) -> None:
     deform(model, state)
     if model.projection != NONE:
         bounded_at(model, state, held_still(model, state))
-    state.age[0] = 0
+    state.stale[0] = ALL_OF_A
 
 
 @stage

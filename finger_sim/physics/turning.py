@@ -28,17 +28,23 @@ _FIRST, _SECOND = (0, 0, 1), (1, 2, 2)
 _APART = 0.1  # of λ_i − λ_j at least: nearer ones have rows between them (tensor_limit.py)
 # A limit counts as passed so much of its room before it is, as it may be so within the step; or, if that is less, what
 # gives a stress of so many shear moduli. Of a limit that is all but rigid the first would be a huge force.
-_AHEAD, _MODULI = 0.05, 15.0
+AHEAD, _MODULI = 0.05, 15.0
+
+
+@formula
+def ahead_of(model: Model) -> float:
+    """Part of its room before which a limit counts as passed."""
+    return min(AHEAD, _MODULI * model.lame_mu * model.limit_compliance)
 
 
 @stage
-def add_turning(model: Model, state: State, h: float) -> None:
-    """Add what limits at state.x resist turning with to A."""
+def add_turning(model: Model, state: State, blocks: Floats, h: float) -> None:
+    """Add what limits at state.x resist turning with to `blocks`, as A has them."""
     tensor, volume = state.tensor, model.lane_volume
     near, frames, lane_J, factors, none = tensor.near, tensor.frames, tensor.lane_J, model.limit_factors, splat8(0.0)
     tensor.turning_count[0] = 0
     stiffness = h * h / model.limit_compliance
-    passed = 1.0 - min(_AHEAD, _MODULI * model.lame_mu * model.limit_compliance)
+    passed = 1.0 - ahead_of(model)
     trace = 1.0 / 3.0 if model.patches.volume.shape[0] > 0 else 0.0
     for b in range(near.shape[0]):
         if bits((load8(near, b, 0) > 0.0) | (load8(near, b, 1) > 0.0)) == 0:
@@ -46,18 +52,17 @@ def add_turning(model: Model, state: State, h: float) -> None:
         found = count = 0
         R, E = load_matrix(state.R, b), load_symmetric(state.E, b)
         spin, size = spin_of(E), stiffness * load8(volume, b, 0)
-        for k in range(6):
-            side, i, j = k // 3, _FIRST[k % 3], _SECOND[k % 3]
-            at_limit = load8(near, b, side) > 0.0
-            if bits(at_limit) == 0:
-                continue
-            entry, sign = pairs_of(model, b, side)
-            p, q = sign * load8(frames, entry, i), sign * load8(frames, entry, j)
-            if bits(at_limit & (maximum(p, q) > passed)) == 0:
-                continue
+        for k in range(3 if model.mirrored else 6):
+            side, i, j, weight = k // 3, _FIRST[k % 3], _SECOND[k % 3], none
+            entry, _ = pairs_of(model, b, side)
             a, c = _scaled(frames, entry, i, factors, side), _scaled(frames, entry, j, factors, side)
-            weight = _resistance(p, q, a, c, passed)
-            root = sqrt(where(at_limit, weight * size, none))
+            for one in range(side, 2 if model.mirrored else side + 1):  # mirrored, both sides have the same g
+                _, sign = pairs_of(model, b, one)
+                p, q = sign * load8(frames, entry, i), sign * load8(frames, entry, j)
+                passes = (load8(near, b, one) > 0.0) & (maximum(p, q) > passed)
+                if bits(passes) != 0:
+                    weight = weight + where(passes, _resistance(p, q, a, c, passed), none)
+            root = sqrt(weight * size)
             if bits(root > 0.0) == 0:
                 continue
             found |= bits(root > 0.0)
@@ -69,7 +74,7 @@ def add_turning(model: Model, state: State, h: float) -> None:
             count += 1
         for l in range(8):
             if (found >> l) & 1:
-                add_squares(model, state.A, model.tet_block, 8 * b + l, lane_J, l, count)
+                add_squares(model, blocks, model.tet_block, 8 * b + l, lane_J, l, count)
                 if model.tet_moves[8 * b + l] < 4 and not model.has_bone:
                     keep_squares(tensor, 8 * b + l, l, count)
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arrays import Floats
+from .elasticity import ALL_OF_A
 from .lanes import BATCH, LANES, aligned, aligned_copy
 from .linear_solver import MANY_BLOCKS, SIDES_AT_ONCE
 from .methods import LINEAR, NONE, ORTHOGONAL, PGS, TENSOR
@@ -117,7 +118,7 @@ def _told_and_reported(model: Model, size: _Sizes) -> dict[str, Any]:
 def _saved(model: Model, size: _Sizes) -> dict[str, Any]:
     """What lets a step take less work."""
     return {
-        "age": np.zeros(1, np.int64),
+        "stale": np.full(1, ALL_OF_A),
         "turned": aligned(0 if size.pgs else size.batches, 4, LANES),
         "motion": np.zeros(1),
         "held": np.zeros(1),
@@ -136,6 +137,7 @@ def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
         "moving": aligned(size.nodes, 4),
         "driven_velocity": aligned(size.nodes, 4),
         "g": aligned(LANES * size.batches, 4, 4),
+        "turning_A": aligned(len(model.laplace) if size.tensor and not size.pgs else 0, 3, 4),
         "A": aligned(len(model.laplace), 3, 4),
         "theta": np.zeros(size.patches),
         "pressure": aligned(size.batches if size.patches else 0, LANES),

@@ -20,6 +20,7 @@ from ..haptics.sending import KERNELS as SENDING_KERNELS
 from ..haptics.sending import load
 from ..physics.clock import STAGES
 from ..physics.compile import compiling
+from ..physics.elasticity import ALL_OF_A
 from ..physics.ready import kernels as ready_kernels
 from ..physics.ready import measure_strains, ready, refresh, step_beside, strains_of
 from ..physics.records import direct, held
@@ -275,7 +276,7 @@ class Simulator:
         state.origin[:] = self.pose.position
         self._ground.write(state)
         wake(self._body.guard)
-        state.age[0] = state.held_tets[0] = state.newton.factors[0] = 0
+        state.stale[0], state.held_tets[0], state.newton.factors[0] = ALL_OF_A, 0, 0
         refresh(self._ready)
         if self.scene.material.relaxation:
             suddenly(self._model, state)
@@ -380,7 +381,7 @@ class Simulator:
         body.dt[0], body.substeps[0], body.mode[0] = scene.dt, scene.substeps, MODES[scene.coupling.following]
         self._drive.allow(scene.coupling)
         self._ground.allow(scene.coupling)
-        self._state.age[0] = 0
+        self._state.stale[0] = ALL_OF_A
         wake(body.guard)
 
     def _move_rigidly(self, before: Pose, after: Pose, h: float) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from cases import for_each
@@ -9,6 +11,8 @@ from physics_helpers import Array, assembled, beam_scene
 from scipy.spatial.transform import Rotation
 
 from finger_sim import Scene, Simulator
+from finger_sim.physics.compile import kernel
+from finger_sim.physics.elasticity import ALL_OF_A, ELASTIC, TURNING, assemble
 
 ROOM, STIFFNESS, YOUNG, STEP = 0.1, 50.0, 1e4, 1e-2
 FREE = {"limits.stretch": [None] * 3, "limits.compress": [None] * 3}
@@ -48,6 +52,38 @@ def test_shear_between_two_eigenvectors(volumetric: str, strains: tuple[float, f
     assert moves @ found @ moves / STEP**2 == pytest.approx(np.diff(changes, 2)[0] / small**2, rel=1e-4)
     assert np.abs(found - found.T).max() < 1e-9 * np.abs(found).max()
     assert np.linalg.eigvalsh(found).min() > -1e-9 * np.abs(found).max()
+
+
+@kernel
+def assembled_by(model: Any, state: Any, parts: int) -> None:
+    """A with so much of it formed anew (elasticity.ELASTIC, TURNING)."""
+    state.stale[0] = parts
+    assemble(model, state, STEP, False)
+
+
+def test_parts_of_A_by_themselves_make_the_whole() -> None:
+    """A step forms what is elastic, the next one what turns, with what it turns by now: A is that of both at once."""
+    scene = limited().with_values({"solver.level": "lagged", "solver.method": "newton"})
+    first = np.array(scene.load_mesh().points) @ (np.eye(3) + ROOM * np.diag([1.6, 1.2, -1.4]))
+    x = first @ Rotation.from_rotvec([0.3, -0.7, 0.5]).as_matrix().T
+    sim = Simulator(scene)
+    model, state = sim._ready.model, sim._ready.state
+    sim.set_state(first, np.zeros_like(first))
+    assembled_by(model, state, ALL_OF_A)
+    before = sim._state.A.copy()
+    sim.set_state(x, np.zeros_like(x))
+    assembled_by(model, state, ELASTIC)
+    between = sim._state.A.copy()
+    assembled_by(model, state, TURNING)
+    parts = sim._state.A.copy()
+    assembled_by(model, state, 0)
+    assert (parts == sim._state.A).all()
+    assembled_by(model, state, ALL_OF_A)
+    whole = sim._state.A.copy()
+    size = np.abs(whole).max()
+    assert np.abs(parts - whole).max() < 1e-12 * size
+    for one, other in ((before, between), (between, parts)):
+        assert np.abs(one - other).max() > 0.05 * size
 
 
 def test_limits_that_are_not_passed_resist_nothing() -> None:
