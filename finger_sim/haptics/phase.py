@@ -6,7 +6,7 @@ asks for: by no more than 1/200 of a period a step while they are far from there
 and by no more than 1/500 afterwards. Steps then follow the sender's clock.
 
 A command that comes too late for its step waits for a whole period more. So all are to come the earlier, the more of
-them are late: until one in 250 is (a quantile by stochastic approximation, Robbins and Monro 1951).
+them are late: until one in 400 is (a quantile by stochastic approximation, Robbins and Monro 1951).
 """
 
 from __future__ import annotations
