@@ -99,10 +99,12 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
             wanted = max(wanted, 1)
     if model.turn == 1.0 or model.method == PGS or wanted > 0:
         state.stale[0] = ALL_OF_A
-    elif state.stale[0] == 0 and (turned_far(state, model.turn) or limits_changed(state)):
-        # What turns is formed in the next step, so that none forms all of it; all but rigid limits would tremble.
-        state.stale[0] = ELASTIC if turns(model) and ahead_of(model) == AHEAD else ALL_OF_A
-    shares = state.stale[0] != ALL_OF_A
+    elif turned_far(state, model.turn) or limits_changed(state):
+        # What turns is left to the next step, so that none forms all of A; but all but rigid limits would tremble, and
+        # where A changes in every step it is all of one.
+        by_parts = state.stale[0] == 0 and turns(model) and ahead_of(model) == AHEAD
+        state.stale[0] = ELASTIC if by_parts else ALL_OF_A
+    shares = state.stale[0] & ELASTIC == 0
     if shares:
         copy(state.x_start, state.x)
         copy_first(state.twist_start, state.twist, state.twist.shape[0])
