@@ -19,6 +19,7 @@ from .lanes import lane, load4, maximum, pick4, splat4, store4, sum3
 from .methods import TENSOR
 from .model import Model, State
 from .tensor_rows import CONSTANT, STIFFNESS, double_dot, load_group, rate_of
+from .vectors import copy_first
 
 
 @stage
@@ -64,10 +65,8 @@ def tensor_rates(model: Model, state: State, h: float, direction: Floats) -> Non
 @stage
 def begin_gaps(model: Model, state: State, contacts: int, rows: int) -> None:
     """g at δ = 0."""
-    gaps, constant, tensor = state.newton.gap, state.constant, state.tensor
-    packed = contacts if model.projection == TENSOR else rows
-    for row in range(packed):
-        gaps[row] = constant[row]
+    tensor = state.tensor
+    copy_first(state.newton.gap, state.constant, contacts if model.projection == TENSOR else rows)
     for k in range(tensor.first[tensor.first.shape[0] - 1]):
         store4(tensor.gap, k, 0, load4(tensor.row, k, CONSTANT))
 
