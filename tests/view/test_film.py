@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from PIL import Image
 from processes import REPOSITORY
+from view.browser import until
 
 from finger_sim.view.film import PAUSE, main
 
@@ -57,6 +58,7 @@ def test_a_recording_is_played_by_the_real_server(url: str, open_tab: Any) -> No
     tab.page.locator("#viewport").focus()
     tab.page.keyboard.press("Space")
     tab.until(lambda data: float(data["time"]) > 0.1)
+    until(lambda: tab.page.locator("#play").get_attribute("aria-label") == "Pause" or tab.number("time") > 1.1, tab)
 
 
 def test_a_film_is_made(bag: Path, tmp_path: Path, browser: Any) -> None:
