@@ -76,7 +76,11 @@ def stepped(sim: Simulator, command: Pose | None, well: bool = True) -> Problem:
     body = naive.Body.of(scene, sim.mesh)
     x, v, force = sim.positions.copy(), sim.velocities.copy(), sim.contact_forces.copy()
     driven = scene.driven_nodes(sim.mesh)
-    limit_force = state.limit_force.ravel()[: len(body.tets)].copy() if state.limit_force.size else None
+    number = sim._model.tet_number
+    limit_force = None
+    if state.limit_force.size:
+        limit_force = np.empty(len(body.tets))
+        limit_force[number] = state.limit_force.ravel()[: len(body.tets)]
     state.row_tet[:] = NO_ROW = np.iinfo(np.int64).max
     out = sim.step(command)
     pack(sim)
@@ -109,7 +113,7 @@ def stepped(sim: Simulator, command: Pose | None, well: bool = True) -> Problem:
     lam: dict[int, Array] = {}
     for t, size in zip(state.row_tet, state.lam, strict=True):
         if 0 <= t < NO_ROW and size > 0.0:
-            lam[int(t)] = np.sort(np.append(lam.get(int(t), np.empty(0)), size))
+            lam[int(number[t])] = np.sort(np.append(lam.get(int(number[t]), np.empty(0)), size))
     return Problem(
         scene,
         body,

@@ -101,8 +101,21 @@ def eigen(B: Symmetric) -> tuple[Vector, Vector, Vector, Vector]:
 
 
 @formula
+def _ascending(p: Lanes, q: Lanes, u: Vector, v: Vector) -> tuple[Lanes, Lanes, Vector, Vector]:
+    """Two eigenvalues and their vectors, the smaller one first."""
+    swaps = p > q
+    u0, u1, u2 = u
+    v0, v1, v2 = v
+    return (
+        where(swaps, q, p), where(swaps, p, q),
+        (where(swaps, v0, u0), where(swaps, v1, u1), where(swaps, v2, u2)),
+        (where(swaps, u0, v0), where(swaps, u1, v1), where(swaps, u2, v2)),
+    )  # fmt: skip
+
+
+@formula
 def eigen_from(B: Symmetric, frames: Floats, k: int, exact: bool) -> Vector:
-    """Eigenvalues and eigenvectors of eight B into entry k of `frames` (…, 12, 8), and the eigenvalues.
+    """Eigenvalues and eigenvectors of eight B into entry k of `frames` (…, 12, 8), and the eigenvalues, ascending.
 
     It begins with the eigenvectors that are there, of a B that was similar: one or two sweeps are left.
     """
@@ -123,7 +136,11 @@ def eigen_from(B: Symmetric, frames: Floats, k: int, exact: bool) -> Vector:
         u0 * p0 + u1 * p1 + u2 * p2, v0 * q0 + v1 * q1 + v2 * q2, w0 * r0 + w1 * r1 + w2 * r2,
         v0 * r0 + v1 * r1 + v2 * r2, u0 * r0 + u1 * r1 + u2 * r2, u0 * q0 + u1 * q1 + u2 * q2,
     )  # fmt: skip
-    values, u, v, w = _sweeps(turned, (u0, u1, u2), (v0, v1, v2), (w0, w1, w2), _EXACT if exact else _CLOSE, 1.0)
+    (p, q, r), u, v, w = _sweeps(turned, (u0, u1, u2), (v0, v1, v2), (w0, w1, w2), _EXACT if exact else _CLOSE, 1.0)
+    p, q, u, v = _ascending(p, q, u, v)
+    q, r, v, w = _ascending(q, r, v, w)
+    p, q, u, v = _ascending(p, q, u, v)
+    values = (p, q, r)
     store_vector(frames, k, 0, values)
     store_vector(frames, k, 3, u)
     store_vector(frames, k, 6, v)

@@ -56,6 +56,7 @@ class Model(NamedTuple):
     """
 
     tets: Ints  # (T, 4) nodes of each tetrahedron
+    tet_number: Ints  # (T,) its number in the mesh: see neighbours.py
     gradients: Floats  # (T, 4, 3) rows r_n of D_m⁻¹ in material axes [1/m]; r_4 = −(r_1 + r_2 + r_3) (Eq. 2)
     volume: Floats  # (T,) rest volume [m³]
     mass: Floats  # (n,) lumped mass [kg]

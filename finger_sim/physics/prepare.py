@@ -13,6 +13,7 @@ from .lanes import LANES, aligned_copy, padded
 from .locking import STIFF_BULK, bulk_to_shear, isochoric_strain
 from .methods import NONE
 from .model import Model, Patches, Pattern
+from .neighbours import side_by_side
 from .patches import Partition, each_alone, partition, shares
 from .tensor_limit import limit_factors
 
@@ -119,14 +120,16 @@ def rest_of(points: Floats, tets: Ints, axes: Floats) -> Rest:
 
 
 def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, setting: Setting, live: Live) -> Model:
-    """The model of a body; `rest`: what `rest_of` gives for it."""
+    """The model of a body; `rest`: what `rest_of` gives for it. Its tetrahedra lie in an order of its own."""
+    is_free = np.ones(len(body.points), bool)
+    is_free[body.driven] = False
+    patches = partition(body.tets, is_free) if tissue.patched else each_alone()
+    order = side_by_side(body.points, body.tets)
+    body, rest, patches = _in_order(order, body, rest, patches)
     tets, driven, has_bone = body.tets, body.driven, body.yields
     gradients, volume, length = rest
     mass = np.zeros(len(body.points))
     np.add.at(mass, tets.ravel(), np.repeat(tissue.density * volume / 4.0, 4))
-    is_free = np.ones(len(body.points), bool)
-    is_free[driven] = False
-    patches = partition(tets, is_free) if tissue.patched else each_alone()
     slots = _slots(body, is_free, patches)
     nf = len(slots.free)
     blocks = blocks_of(slots.of_tet, patches.pairs, slots.of_node[patches.node], nf, slots.pattern)
@@ -139,6 +142,7 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
     poisson = tissue.poisson
     return Model(
         tets=tets,
+        tet_number=order,
         gradients=np.ascontiguousarray(gradients),
         volume=volume,
         mass=mass,
@@ -186,6 +190,14 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         relax_at=0,
         **live._asdict(),
     )
+
+
+def _in_order(order: Ints, body: Body, rest: Rest, patches: Partition) -> tuple[Body, Rest, Partition]:
+    """The same of tetrahedra in that order."""
+    if len(patches.of_tet):
+        patches = patches._replace(of_tet=patches.of_tet[order], tet_place=patches.tet_place[order])
+    body = body._replace(tets=body.tets[order], axes=body.axes[order])
+    return body, rest._replace(gradients=rest.gradients[order], volume=rest.volume[order]), patches
 
 
 class _Slots(NamedTuple):

@@ -365,11 +365,17 @@ class Simulator:
     def strain_ratio(self) -> Floats:
         """strain/limit of each tetrahedron (T,), 1: exactly at its limit, 0 without limits; read-only."""
         measure_strains(self._ready)
-        return read_only(self._state.strain_ratio)
+        return self._of_mesh(self._state.strain_ratio)
 
     def strains_of(self, bounded: Floats, ratios: Floats) -> Floats:
         """strain/limit (T,), as `strain_ratio`, of copies of State.limit_strain and strain_ratio; of another thread."""
-        return strains_of(self._ready, bounded, ratios)
+        return self._of_mesh(strains_of(self._ready, bounded, ratios))
+
+    def _of_mesh(self, values: Floats) -> Floats:
+        """Values (T,) of the model's tetrahedra, as those of the mesh."""
+        out = np.empty_like(values)
+        out[self._model.tet_number] = values
+        return read_only(out)
 
     def _use(self, scene: Scene) -> None:
         """The live values of a scene."""

@@ -111,9 +111,10 @@ def test_deformation_gradient_of_every_tetrahedron() -> None:
     x = mesh.points + 1e-3 * np.random.default_rng(1).standard_normal(mesh.points.shape)
     F = np.empty((len(mesh.tets), 3, 3))
     svd.deformation_gradient(model.tets, model.gradients, x, F)
-    assert_allclose(F, naive.Body.of(scene, mesh).deformation(x), rtol=0, atol=1e-11)
+    number = model.tet_number
+    assert_allclose(F, naive.Body.of(scene, mesh).deformation(x)[number], rtol=0, atol=1e-11)
     svd.deformation_gradient(model.tets, model.gradients, np.array(mesh.points), F)
-    assert_allclose(F, np.swapaxes(turned, 1, 2), rtol=0, atol=1e-12)  # at rest: its columns are the axes
+    assert_allclose(F, np.swapaxes(turned, 1, 2)[number], rtol=0, atol=1e-12)  # at rest: its columns are the axes
 
 
 def as_rotation(q: Any) -> Rotation:

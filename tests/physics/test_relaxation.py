@@ -37,7 +37,10 @@ def fading(scene: Scene, terms: Any = TERMS, **values: Any) -> Scene:
 def overstrain(sim: Simulator) -> Array:
     """y of each term and tetrahedron, as matrices (terms, T, 3, 3)."""
     terms, count = len(sim.scene.material.relaxation), len(sim.mesh.tets)
-    y = np.moveaxis(sim._state.relaxing.overstrain.reshape(-1, terms, 6, 8), 3, 1).reshape(-1, terms, 6)[:count]
+    y = np.empty((count, terms, 6))
+    y[sim._model.tet_number] = np.moveaxis(sim._state.relaxing.overstrain.reshape(-1, terms, 6, 8), 3, 1).reshape(
+        -1, terms, 6
+    )[:count]
     return np.moveaxis(y[..., [0, 5, 4, 5, 1, 3, 4, 3, 2]].reshape(count, terms, 3, 3), 1, 0)
 
 
@@ -46,7 +49,7 @@ def give(sim: Simulator, y: Array) -> None:
     lanes = sim._state.relaxing.overstrain.reshape(-1, y.shape[0], 6, 8)
     for c, (i, j) in enumerate([(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]):
         padded = np.zeros((y.shape[0], 8 * len(lanes)))
-        padded[:, : y.shape[1]] = y[:, :, i, j]
+        padded[:, : y.shape[1]] = y[:, sim._model.tet_number, i, j]
         lanes[:, :, c] = np.moveaxis(padded.reshape(y.shape[0], -1, 8), 0, 1)
 
 

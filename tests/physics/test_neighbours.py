@@ -1,0 +1,27 @@
+"""The order of tetrahedra in lanes. That nothing of it is seen from outside, test_tensor_limit.py tells."""
+
+from __future__ import annotations
+
+import numpy as np
+from cases import for_each
+
+from finger_sim.physics.neighbours import side_by_side
+
+
+@for_each("count", [1, 3, 4, 7, 8, 9, 12, 100, 1003])
+def test_each_tetrahedron_is_there_once(count: int) -> None:
+    rng = np.random.default_rng(count)
+    order = side_by_side(rng.normal(size=(count + 4, 3)), rng.integers(0, count + 4, (count, 4)))
+    assert sorted(order.tolist()) == list(range(count))
+
+
+def test_groups_are_of_neighbours() -> None:
+    """Two heaps of four tetrahedra at each corner of a cube: whatever their numbers, each comes out together."""
+    rng = np.random.default_rng(0)
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    heaps = np.repeat(np.concatenate([[corner, corner + [0.1, 0.0, 0.0]] for corner in corners]), 16, axis=0)
+    points = heaps + rng.uniform(0.0, 0.01, heaps.shape)
+    number = rng.permutation(64)
+    found = number[side_by_side(points, np.arange(256).reshape(64, 4)[number])]
+    assert {tuple(set(eight)) for eight in (found.reshape(8, 8) // 8).tolist()} == {(k,) for k in range(8)}
+    assert {tuple(set(four)) for four in (found.reshape(16, 4) // 4).tolist()} == {(k,) for k in range(16)}
