@@ -17,7 +17,7 @@ from .dissection import Graph, dissect
 from .lanes import aligned
 from .model import Pattern
 
-FEWEST_WORTH, PRODUCTS = 7, 6
+FEWEST_WORTH, PRODUCTS = 9, 6
 """Iterations that new factors are worth at least: their matrix costs some. Products of blocks that `factor` makes while
 an iteration passes over a block of L."""
 LARGE = 500  # nodes from which on a second order is tried: below, minimum degree is the better one

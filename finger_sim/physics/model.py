@@ -143,6 +143,8 @@ class Newton(NamedTuple):
     rate: Floats  # (rows,) and what it changes by along `direction`
     stiffness: Floats  # (rows,) what each row adds to the Hessian [N/m]: 1 / compliance where it carries a force
     factors: Ints  # (1,) what the factors in L are of: hessian.NONE …
+    spent: Ints  # (1,) iterations of the last step along factors of an earlier one; 0 where it made its own
+    renews: Ints  # (1,) 1 where the step begins with new factors: old ones have served long enough
     slip: Floats  # (contacts, 4) unit slip direction of a node's contact force (world), and μ; zeros: sticks
     holds: Ints  # (1,) 1 while friction is bounded by `bound` and not by μ times the normal forces
     bound: Floats  # (contacts,) largest friction of each contact [N]
@@ -271,7 +273,7 @@ class State(NamedTuple):
     active_rows: Ints  # (T,) rows of each tetrahedron that carry a force
 
     # When a step may take less work: see step.py.
-    stale: Ints  # (1,) parts of A that the next step forms: elasticity.ELASTIC, TURNING
+    stale: Ints  # (2,) parts of A that the next step forms, and that one after it does: elasticity.ELASTIC, TURNING
     turned: Floats  # (B, 4, 8) quaternion when A was formed, where steps share it
     motion: Floats  # (1,) rms speed of the nodes at the end of the last step [m/s]
     held: Floats  # (1,) time since the driven nodes last moved [s]

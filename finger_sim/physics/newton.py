@@ -69,6 +69,7 @@ def newton(
     own, lam, best, tensor = state.newton, state.lam, state.best, state.tensor
     packed = contacts if model.projection == TENSOR else rows  # the other ones are in groups (tensor_rows.py)
     change, tried, direction, best_change, factors = own.change, own.tried, own.direction, own.best_change, own.factors
+    own.spent[0] = 0
     if anew and factors[0] == OF_A:
         factors[0] = OF_ANOTHER
     slot_velocities(model, state)
@@ -89,7 +90,8 @@ def newton(
     if not missing < math.inf:
         return 0, residual, False
     worth = model.pattern.worth
-    stale = factors[0] == NONE or model.max_iterations <= worth  # of few, none is spent on old factors
+    stale = factors[0] == NONE or own.renews[0] != 0
+    stale = stale or model.max_iterations <= worth  # of few, none is spent on old factors
     patience = 2 * worth if anew else worth  # a step that makes a matrix or factors is long enough
     least, least_missing, iterations, stalled, made, turns = residual, missing, 0, 0, 0, 0
     keep(state, packed)
@@ -147,6 +149,7 @@ def newton(
         if missing < least_missing:
             least = residual
             keep(state, packed)
+    own.spent[0] = iterations if made == 0 else 0
     copy_first(lam, best, packed)
     copy_groups(tensor, tensor.lam, tensor.best)
     if model.has_bone:

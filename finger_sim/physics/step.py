@@ -11,7 +11,7 @@ from .bone import aim_bone, move_bone, place_driven
 from .clock import ASSEMBLY, KINEMATICS, OUTPUT, ROWS, SOLVE, lap
 from .compile import formula, kernel, stage
 from .contact import contact_rows, deepest, store_contact
-from .elasticity import ALL_OF_A, ELASTIC, TURNING, assemble, limits_changed, turns
+from .elasticity import ALL_OF_A, ELASTIC, assemble
 from .hessian import factor_elastic
 from .kinematics import strains_at, turned_far
 from .lanes import load4, store4, sum3
@@ -20,10 +20,10 @@ from .methods import NEWTON, NONE, PGS, TENSOR
 from .model import Model, State
 from .newton import newton
 from .observed import observe_limits
+from .plan import plan
 from .relaxation import BEGIN, END, MOVED
 from .strain_limits import bounded_at
 from .tensor_rows import pack_rows, tensor_rows
-from .turning import AHEAD, ahead_of
 from .vectors import add, copy, copy_first
 from .work import CONTACT_ROWS, LIMITS, LINEAR
 
@@ -97,13 +97,7 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
         tolerance *= _SETTLED
         if state.held_tets[0] > 0 and state.motion[0] * h < _SLOW * model.length:
             wanted = max(wanted, 1)
-    if model.turn == 1.0 or model.method == PGS or wanted > 0:
-        state.stale[0] = ALL_OF_A
-    elif turned_far(state, model.turn) or limits_changed(state):
-        # What turns is left to the next step, so that none forms all of A; but all but rigid limits would tremble, and
-        # where A changes in every step it is all of one.
-        by_parts = state.stale[0] == 0 and turns(model) and ahead_of(model) == AHEAD
-        state.stale[0] = ELASTIC if by_parts else ALL_OF_A
+    plan(model, state, wanted > 0)
     shares = state.stale[0] & ELASTIC == 0
     if shares:
         copy(state.x_start, state.x)
@@ -146,7 +140,7 @@ def step(model: Model, state: State, targets: Floats, h: float) -> None:
         for i in range(7):
             state.bone[i] = state.bone[7 + i]
     lap(state.laps, state.time, KINEMATICS)
-    state.stale[0] = TURNING if state.stale[0] == ELASTIC else 0
+    state.stale[0] = 0
     if model.projection != NONE:
         bounded_at(model, state, held_still(model, state))
     lap(state.laps, state.time, ROWS)

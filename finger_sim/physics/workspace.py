@@ -118,7 +118,7 @@ def _told_and_reported(model: Model, size: _Sizes) -> dict[str, Any]:
 def _saved(model: Model, size: _Sizes) -> dict[str, Any]:
     """What lets a step take less work."""
     return {
-        "stale": np.full(1, ALL_OF_A),
+        "stale": np.array([ALL_OF_A, 0]),
         "turned": aligned(0 if size.pgs else size.batches, 4, LANES),
         "motion": np.zeros(1),
         "held": np.zeros(1),
@@ -199,6 +199,8 @@ def _newton(size: _Sizes) -> Newton:
         rate=np.zeros(rows),
         stiffness=np.zeros(rows),
         factors=np.zeros(1, np.int64),
+        spent=np.zeros(1, np.int64),
+        renews=np.zeros(1, np.int64),
         slip=aligned(contacts, 4),
         holds=np.zeros(1, np.int64),
         bound=np.zeros(contacts),

@@ -1,0 +1,45 @@
+"""What a step forms, decided as it begins: a part of A, or factors of H.
+
+A step that does one of these takes half as long again as one that does neither, and none does both where that can be
+helped: a part of A waits for a step when new factors are due.
+"""
+
+from __future__ import annotations
+
+from .compile import stage
+from .elasticity import ALL_OF_A, ELASTIC, TURNING, limits_changed, turns
+from .hessian import NONE
+from .kinematics import turned_far
+from .methods import NEWTON
+from .model import Model, State
+from .turning import AHEAD, ahead_of
+
+# Parts of what new factors are worth in iterations (Pattern.worth) that a step may take along old ones until the next
+# begins with new ones; and where A is to change, which old ones would serve even less.
+_MANY, _SOME = 3, 4
+
+
+@stage
+def plan(model: Model, state: State, again: bool) -> None:
+    """state.stale: what of A the step forms, and what a later one; Newton.renews: whether it begins with new factors.
+
+    again: it is linearised more than once, with an A of its own each time.
+    """
+    own, stale = state.newton, state.stale
+    own.renews[0] = 0
+    if model.turn == 1.0 or model.method != NEWTON or again:
+        stale[0] = ALL_OF_A
+    if stale[0] == ALL_OF_A:
+        stale[1] = 0
+        return
+    changed = turned_far(state, model.turn) or limits_changed(state)
+    few = model.pattern.worth // (_SOME if changed or stale[1] != 0 else _MANY)
+    if own.factors[0] != NONE and own.spent[0] >= max(1, few):
+        own.renews[0] = 1
+    elif changed:
+        # What turns is left to a later step, so that none forms all of A; but all but rigid limits would tremble, and
+        # where A changes in every step it is all of one.
+        by_parts = stale[1] == 0 and turns(model) and ahead_of(model) == AHEAD
+        stale[0], stale[1] = (ELASTIC, TURNING) if by_parts else (ALL_OF_A, 0)
+    else:
+        stale[0], stale[1] = stale[1], 0
