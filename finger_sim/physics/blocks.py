@@ -63,12 +63,13 @@ def blocks_of(tet_slot: Ints, patch_pairs: Ints, entry_slot: Ints, nf: int, patt
 def _numbered(rows: Ints, columns: Ints, nf: int, pattern: Pattern) -> tuple[Ints, Ints, Ints, Ints, Ints]:
     """Of pairs of slots, row ≥ column: their blocks of A, their places in the factorisation, −1 where there is none.
 
-    And of the blocks below A's diagonal: row, column, and the place in the factorisation, where they have one.
+    And of the blocks below A's diagonal, column after column: row, column, and the place in the factorisation, where
+    they have one.
     """
     exists = rows < nf
     below = exists & (rows != columns)
-    numbers, inverse = np.unique(rows[below] * nf + columns[below], return_inverse=True)
-    row, column = numbers // nf, numbers % nf
+    numbers, inverse = np.unique(columns[below] * nf + rows[below], return_inverse=True)
+    row, column = numbers % nf, numbers // nf
     place_of = np.array([nf + block_of(pattern, int(r), int(c)) for r, c in zip(row, column, strict=True)], np.int64)
     block, place = np.full(len(rows), -1, np.int64), np.full(len(rows), -1, np.int64)
     diagonal = exists & (rows == columns)

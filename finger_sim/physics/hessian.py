@@ -6,7 +6,7 @@ from ..arrays import Floats, Singles
 from .border import factor_bone
 from .compile import formula, kernel, stage
 from .dilatation import add_patch_rows
-from .lanes import Lanes, bits, lane, load4, scatter3x4, splat4, sqrt, store4, where
+from .lanes import Lanes, add3x4, bits, lane, load4, scatter3x4, splat4, sqrt, store4, where
 from .linear_solver import factor
 from .methods import TENSOR
 from .model import Model, State
@@ -48,12 +48,17 @@ def load_elastic(model: Model, state: State) -> None:
     for k in range(nf):
         for j in range(3):
             store4(blocks, k, j, load4(A, k, j))
-    for p in range(nf, blocks.shape[0]):
-        for j in range(3):
-            store4(blocks, p, j, splat4(0.0))
+    empty = nf
     for p in range(block_place.shape[0]):
+        for k in range(empty, block_place[p]):
+            for j in range(3):
+                store4(blocks, k, j, splat4(0.0))
         for j in range(3):
             store4(blocks, block_place[p], j, load4(A, nf + p, j))
+        empty = block_place[p] + 1
+    for k in range(empty, blocks.shape[0]):
+        for j in range(3):
+            store4(blocks, k, j, splat4(0.0))
     state.work[FACTORISATIONS] += 1
 
 
@@ -113,12 +118,13 @@ def add_limit_rows(model: Model, state: State, h: float, contacts: int, rows: in
 @stage
 def add_tensor_rows(model: Model, state: State, h: float) -> None:
     """The same of the `tensor` limit: all rows of a tetrahedron at once, four tetrahedra side by side."""
-    tensor, g, parts = state.tensor, state.tensor.lane_J, state.tensor.lane_part
+    tensor, g, own, gradients = state.tensor, state.tensor.lane_J, model.patches, model.lane_gradients
     first, row, forces, keys, none = tensor.first, tensor.row, tensor.lam, tensor.key, splat4(0.0)
-    patched, patches, entries = model.patches.volume.shape[0] > 0, model.patches.lane, model.patches.tet_place
-    cross, square = state.patch_cross, state.patch_force
+    patched, cross, square = own.volume.shape[0] > 0, state.patch_cross, state.patch_force
     for four in range(first.shape[0] - 1):
         held = count = 0
+        b, half, squares = four // 2, four % 2, none
+        m0 = m1 = m2 = m3 = m4 = m5 = m6 = m7 = m8 = none
         for k in range(first[four], first[four + 1]):
             holds = load4(forces, k, 0) > 0.0
             if bits(holds) == 0:
@@ -127,20 +133,26 @@ def add_tensor_rows(model: Model, state: State, h: float) -> None:
             weight = where(holds, h * sqrt(load4(row, k, STIFFNESS)), none)
             slope = load_group(tensor.slope, k)
             for n in range(4):
-                x, y, z = at_node(slope, gradient_of(model.lane_gradients, four // 2, n, four % 2))
+                x, y, z = at_node(slope, gradient_of(gradients, b, n, half))
                 scatter3x4(g, 4 * count + n, x * weight, y * weight, z * weight)
-            store4(parts, count, 0, weight * ((2.0 * (keys[k] % 2) - 1.0) * (1.0 / 3.0)))
             count += 1
+            if patched:
+                part = weight * ((2.0 * (keys[k] % 2) - 1.0) * (1.0 / 3.0))
+                squares, mixed = squares + part * part, part * weight
+                s0, s1, s2, s3, s4, s5, s6, s7, s8 = slope
+                m0, m1, m2 = m0 + s0 * mixed, m1 + s1 * mixed, m2 + s2 * mixed
+                m3, m4, m5 = m3 + s3 * mixed, m4 + s4 * mixed, m5 + s5 * mixed
+                m6, m7, m8 = m6 + s6 * mixed, m7 + s7 * mixed, m8 + s8 * mixed
         for l in range(4):
             if (held >> l) & 1:
                 t = 4 * four + l
                 add_squares(model, state.L_blocks, model.tet_place, t, g, l, count)
-                for k in range(count if patched else 0):
-                    part = parts[k, l]
-                    square[patches[t // 8, t % 8]] += part * part
-                    for n in range(4):
-                        p = entries[t, n]
-                        store4(cross, p, 0, load4(cross, p, 0) + load4(g, l, 4 * k + n) * part)
+        if patched and held != 0:
+            for l in range(4):
+                square[own.lane[b, 4 * half + l]] += lane(squares, l)
+            for n in range(4):
+                x, y, z = at_node((m0, m1, m2, m3, m4, m5, m6, m7, m8), gradient_of(gradients, b, n, half))
+                add3x4(cross, own.lane_entry, b, 2 * n + half, x, y, z)
 
 
 @formula

@@ -82,9 +82,9 @@ class Model(NamedTuple):
     assembly: Ints  # (k, 3) contributions to A, block after block: tetrahedron, its nodes at the row and the column
     assembly_start: Ints  # (blocks + 1,) first one of each block of A
     assembly_dot: Floats  # (k,) r_a · r_b of their nodes [1/m²]
-    block_row: Ints  # (na,) slot of each block below the diagonal of A
+    block_row: Ints  # (na,) slot of each block below the diagonal of A, column after column
     block_column: Ints  # (na,)
-    block_place: Ints  # (…,) where it is in State.L_blocks; those of a bone's nodes, the last ones, are not in it
+    block_place: Ints  # (…,) where it is in State.L_blocks, ascending; those of a bone's nodes, the last, are not in it
     laplace: Floats  # (blocks,) Σ vol r_a · r_b of each block [m]: its part that does not turn
     pattern: Pattern  # of the factorisation of A
     patches: Patches
@@ -215,7 +215,6 @@ class Tensor(NamedTuple):
     best: Floats  # (groups, 4) those of the least residual so far
     lane_J: Floats  # (8, 4 k, 4) scratch: k gradients of each of eight or four tetrahedra, by nodes
     lane_root: Floats  # (k, 8) scratch: roots of their weights
-    lane_part: Floats  # (k, 4) scratch: what their patches get, of each of four
     turning_count: Ints  # (1,) how many squares g gᵀ A has at driven nodes (turning.py):
     turning_tet: Ints  # (k,) whose
     turning_J: Floats  # (k, 4, 4) g

@@ -43,12 +43,19 @@ def subtract_product(nf: int, block_row: Ints, block_column: Ints, A: Floats, v:
     for k in range(nf):
         y = load4(A, k, 0) * v[k, 0] + load4(A, k, 1) * v[k, 1] + load4(A, k, 2) * v[k, 2]
         store4(out, k, 0, load4(out, k, 0) - y)
-    for p in range(block_row.shape[0]):
-        i, j = block_row[p], block_column[p]
-        a, b, c = load4(A, nf + p, 0), load4(A, nf + p, 1), load4(A, nf + p, 2)
-        x = load4(v, i, 0)
-        store4(out, i, 0, load4(out, i, 0) - (a * v[j, 0] + b * v[j, 1] + c * v[j, 2]))
-        store4(out, j, 0, load4(out, j, 0) - sums3(a * x, b * x, c * x))
+    p, blocks = 0, block_row.shape[0]
+    while p < blocks:
+        j = block_column[p]
+        u = load4(v, j, 0)
+        u0, u1, u2 = splat4(lane(u, 0)), splat4(lane(u, 1)), splat4(lane(u, 2))
+        r = s = t = splat4(0.0)
+        while p < blocks and block_column[p] == j:
+            i, x = block_row[p], load4(v, block_row[p], 0)
+            a, b, c = load4(A, nf + p, 0), load4(A, nf + p, 1), load4(A, nf + p, 2)
+            store4(out, i, 0, load4(out, i, 0) - (a * u0 + b * u1 + c * u2))
+            r, s, t = r + a * x, s + b * x, t + c * x
+            p += 1
+        store4(out, j, 0, load4(out, j, 0) - sums3(r, s, t))
     first = nf + block_row.shape[0]
     for k in range(first, A.shape[0]):
         d = k - first + nf + 3

@@ -282,7 +282,6 @@ def _tensor(size: _Sizes) -> Tensor:
         best=aligned(groups, 4),
         lane_J=aligned(LANES, 4 * 2 * MOST_DIRECTIONS, 4),
         lane_root=aligned(6, LANES),
-        lane_part=aligned(2 * MOST_DIRECTIONS, 4),
         turning_count=np.zeros(1, np.int64),
         turning_tet=np.zeros(size.turning, np.int64),
         turning_J=aligned(size.turning, 4, 4),

@@ -70,8 +70,8 @@ def test_lagged_is_as_accurate_for_fewer_matrices() -> None:
 def test_a_lagged_matrix_is_made_anew_where_it_has_changed() -> None:
     """A tetrahedron has turned by 0.02 rad since, or a limit force changed by 0.3 of the largest; factors, seldom.
 
-    What resists turning follows in the next step. Where factors are due, having taken two iterations or more in the step
-    before, they come first, and A a step later.
+    What resists turning follows in the next step. Where factors are due, as the step before took two iterations or
+    more along old ones, they come first, and A a step later.
     """
     scene = small("finger_haptic").with_values({"solver.level": "lagged", "material.volumetric": "patch"})
     sim, made, turned, changed, late, waited, follows = Simulator(scene), 0, 0, 0, 0, 0, True
