@@ -1,7 +1,7 @@
 """What a step forms, decided as it begins: a part of A, or factors of H.
 
-A step that does one of these takes half as long again as one that does neither, and none does both where that can be
-helped: a part of A waits for a step when new factors are due.
+A step that forms a part of A takes one and a half times as long as one that does neither, one that makes factors more
+than twice. None does both where that can be helped: a part of A waits for a step when new factors are due.
 """
 
 from __future__ import annotations
