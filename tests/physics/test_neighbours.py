@@ -30,7 +30,7 @@ def test_groups_are_of_neighbours() -> None:
 
 
 def test_rows_of_neighbours_fill_their_groups() -> None:
-    """Half of the lanes of groups have a row in a press of the everyday finger; in the order of its mesh a third had."""
+    """Half of the lanes of groups have a row in a press of the everyday finger; in the order of the mesh a third."""
     sim = Simulator(Scene.load("finger_haptic"))
     orientation, tensor = sim.scene.initial_pose.orientation, sim._state.tensor
     sim.reset(Pose((0.0, 0.0, 0.0085), orientation))
