@@ -299,8 +299,8 @@ def test_no_tetrahedron_near_its_limit_is_passed_over(seed: int) -> None:
     sim = Simulator(finger_scene(limits__projection="tensor"))
     x = sim.positions + 1e-4 * np.random.default_rng(seed).standard_normal(sim.positions.shape)
     sim.set_state(x, np.zeros_like(x))
-    near = sim._state.tensor.near
-    seen = {2 * (8 * b + l) + side for b, side, l in np.argwhere(near > 0.0).tolist()}
+    near, number = sim._state.tensor.near, sim._model.tet_number.tolist()
+    seen = {2 * number[8 * b + l] + side for b, side, l in np.argwhere(near > 0.0).tolist()}
     limits, found = sim.scene.limits, 0
     for t, F in enumerate(naive.Body.of(sim.scene, sim.mesh).deformation(x)):
         for side, one in enumerate((Limits("tensor", limits.stretch), Limits("tensor", (None,) * 3, limits.compress))):  # type: ignore[union-attr]
