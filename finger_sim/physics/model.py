@@ -144,7 +144,6 @@ class Newton(NamedTuple):
     stiffness: Floats  # (rows,) what each row adds to the Hessian [N/m]: 1 / compliance where it carries a force
     factors: Ints  # (1,) what the factors in L are of: hessian.NONE …
     spent: Ints  # (1,) iterations of the last step along factors of an earlier one; 0 where it made its own
-    renews: Ints  # (1,) 1 where the step begins with new factors: old ones have served long enough
     slip: Floats  # (contacts, 4) unit slip direction of a node's contact force (world), and μ; zeros: sticks
     holds: Ints  # (1,) 1 while friction is bounded by `bound` and not by μ times the normal forces
     bound: Floats  # (contacts,) largest friction of each contact [N]

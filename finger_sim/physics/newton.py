@@ -90,8 +90,7 @@ def newton(
     if not missing < math.inf:
         return 0, residual, False
     worth = model.pattern.worth
-    stale = factors[0] == NONE or own.renews[0] != 0
-    stale = stale or model.max_iterations <= worth  # of few, none is spent on old factors
+    stale = factors[0] == NONE or model.max_iterations <= worth  # of few, none is spent on old factors
     patience = 2 * worth if anew else worth  # a step that makes a matrix or factors is long enough
     least, least_missing, iterations, stalled, made, turns = residual, missing, 0, 0, 0, 0
     keep(state, packed)

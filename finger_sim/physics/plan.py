@@ -23,12 +23,11 @@ _MANY, _SOME = 2.0 / 3.0, 0.5
 
 @stage
 def plan(model: Model, state: State, again: bool) -> None:
-    """state.stale: what of A the step forms, and what a later one; Newton.renews: whether it begins with new factors.
+    """state.stale: what of A the step forms, and what a later one. Poor factors go: it begins with new ones.
 
     again: it is linearised more than once, with an A of its own each time.
     """
     own, stale = state.newton, state.stale
-    own.renews[0] = 0
     if model.turn == 1.0 or model.method != NEWTON or again:
         stale[0] = ALL_OF_A
     if stale[0] == ALL_OF_A:
@@ -36,8 +35,8 @@ def plan(model: Model, state: State, again: bool) -> None:
         return
     changed = turned_far(state, model.turn) or limits_changed(state)
     most = int((_SOME if changed or stale[1] != 0 else _MANY) * model.pattern.worth)
-    if own.factors[0] != NONE and own.spent[0] >= most:
-        own.renews[0] = 1
+    if own.spent[0] >= most:
+        own.factors[0] = NONE
     elif changed:
         # What turns is left to a later step, so that none forms all of A; but all but rigid limits would tremble, and
         # where A changes in every step it is all of one.

@@ -200,7 +200,6 @@ def _newton(size: _Sizes) -> Newton:
         stiffness=np.zeros(rows),
         factors=np.zeros(1, np.int64),
         spent=np.zeros(1, np.int64),
-        renews=np.zeros(1, np.int64),
         slip=aligned(contacts, 4),
         holds=np.zeros(1, np.int64),
         bound=np.zeros(contacts),
