@@ -26,6 +26,7 @@ def factor_elastic(model: Model, state: State) -> bool:
     definite = factor(model.pattern, state.L_blocks, state.L_inverse)
     keep_single(state.L_lower, state.L_single)
     state.newton.factors[0] = OF_A if definite else NONE
+    state.secants.ring[0] = 0
     return definite
 
 
@@ -90,6 +91,7 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int) -> 
             rows = pack_rows(model, state, contacts, True)
         definite = factor_bone(model, state, h, contacts, rows)
     own.factors[0] = OF_ANOTHER if definite else NONE
+    state.secants.ring[0] = 0
     return definite
 
 

@@ -144,9 +144,19 @@ class Newton(NamedTuple):
     stiffness: Floats  # (rows,) what each row adds to the Hessian [N/m]: 1 / compliance where it carries a force
     factors: Ints  # (1,) what the factors in L are of: hessian.NONE …
     spent: Ints  # (1,) iterations of the last step along factors of an earlier one; 0 where it made its own
+    poor: Ints  # (1,) 1 where it found these too poor to go on with
     slip: Floats  # (contacts, 4) unit slip direction of a node's contact force (world), and μ; zeros: sticks
     holds: Ints  # (1,) 1 while friction is bounded by `bound` and not by μ times the normal forces
     bound: Floats  # (contacts,) largest friction of each contact [N]
+
+
+class Secants(NamedTuple):
+    """What is known of H beyond its factors (secants.py), in a ring of places of which one is being filled."""
+
+    pairs: Floats  # (2 places, slots, 4) a change of the velocities, then what the residual fell by along it
+    weight: Floats  # (places,) 1 / their product
+    part: Floats  # (places,) scratch
+    ring: Ints  # (2,) how many there are; the place that is being filled
 
 
 class Pgs(NamedTuple):
@@ -324,6 +334,7 @@ class State(NamedTuple):
     # By owner.
     relaxing: Relaxing
     newton: Newton
+    secants: Secants
     pgs: Pgs
     yielding: Yielding
     principal: Principal

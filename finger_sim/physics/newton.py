@@ -22,7 +22,9 @@ point: Nečas, Jarušek and Haslinger 1980, *On the solution of the variational 
 small friction*).
 
 r itself is exact, but H is not formed and factored in every iteration, nor in every step: factors once made serve until
-they would need more iterations than new ones are worth. Most steps make none.
+they would need more iterations than new ones are worth, mended by what iterations tell of H (secants.py). Most steps
+make none. Where old factors are poor once, the step goes on and the next one begins with new ones; poor twice, it makes
+its own.
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ from .lanes import load4, splat4, store4, sum3
 from .linear_solver import solve
 from .methods import TENSOR
 from .model import Model, State
+from .secants import learn, mended_solve
 from .tensor_rows import copy_groups, tensor_forces
 from .vectors import add, clear, copy, copy_first, inner, subtract_product
 from .work import CORRECTIONS
@@ -69,7 +72,7 @@ def newton(
     own, lam, best, tensor = state.newton, state.lam, state.best, state.tensor
     packed = contacts if model.projection == TENSOR else rows  # the other ones are in groups (tensor_rows.py)
     change, tried, direction, best_change, factors = own.change, own.tried, own.direction, own.best_change, own.factors
-    own.spent[0] = 0
+    own.spent[0] = own.poor[0] = 0
     if anew and factors[0] == OF_A:
         factors[0] = OF_ANOTHER
     slot_velocities(model, state)
@@ -92,6 +95,7 @@ def newton(
     worth = model.pattern.worth
     stale = factors[0] == NONE or model.max_iterations <= worth  # of few, none is spent on old factors
     patience = 2 * worth if anew else worth  # a step that makes a matrix or factors is long enough
+    doubted = False  # old factors have been poor once
     least, least_missing, iterations, stalled, made, turns = residual, missing, 0, 0, 0, 0
     keep(state, packed)
     while iterations < model.max_iterations:
@@ -123,9 +127,10 @@ def newton(
         ascent = newton_direction(model, state, h, contacts, stale)
         residual, missing = search(model, state, h, contacts, rows, ascent, stale)
         iterations += 1
-        copy(change, tried)
         if not missing < math.inf:
             break
+        learn(state.secants, change, tried, own.next_residual, residual / before)
+        copy(change, tried)
         if own.holds[0] != 0:
             turns += 1
         else:
@@ -142,13 +147,16 @@ def newton(
             if stalled >= _STALLED:
                 break
         most = min(patience, (model.max_iterations - iterations) // 2) if stalled == 0 else worth
-        stale = residual >= before or math.log(tolerance / residual) < most * math.log(residual / before)
+        poor = residual >= before or math.log(tolerance / residual) < most * math.log(residual / before)
+        stale = poor and (made > 0 or doubted)
+        doubted |= poor
     if own.holds[0] != 0:
         residual, missing = evaluate_anew(model, state, h, contacts, rows, False)
         if missing < least_missing:
             least = residual
             keep(state, packed)
-    own.spent[0] = iterations if made == 0 else 0
+    if made == 0:
+        own.spent[0], own.poor[0] = iterations, int(doubted)
     copy_first(lam, best, packed)
     copy_groups(tensor, tensor.lam, tensor.best)
     if model.has_bone:
@@ -170,8 +178,7 @@ def newton_direction(model: Model, state: State, h: float, contacts: int, correc
     """H⁻¹ r into `direction`; returns dᵀr. corrects: with friction's unsymmetric part: old factors are too rough."""
     own, J, row_slot = state.newton, state.J, state.row_slot
     direction, other, r, slip, stiffness = own.direction, own.tried, own.next_residual, own.slip, own.stiffness
-    copy(direction, r)
-    solve_all(model, state, direction)
+    mended_solve(model, state, r, direction)
     ascent = inner(direction, r)
     if corrects:
         slips = False

@@ -15,10 +15,9 @@ from .model import Model, State
 from .turning import AHEAD, ahead_of
 
 # Of the iterations that new factors are worth (Pattern.worth), what a step takes along old ones until the next begins
-# with new ones; and where A is to change, which old ones would serve even less. With fewer the longest steps of fast
-# motion are shorter by a tenth; but then slow motion at 4 kHz, where old factors serve long, makes new ones five times
-# as often.
-_MANY, _SOME = 2.0 / 3.0, 0.5
+# with new ones; and where A is to change, which old ones would serve even less. With fewer, slow motion at 4 kHz, where
+# old factors serve long, makes new ones for nothing.
+_MANY, _SOME = 0.6, 0.5
 
 
 @stage
@@ -28,6 +27,9 @@ def plan(model: Model, state: State, again: bool) -> None:
     again: it is linearised more than once, with an A of its own each time.
     """
     own, stale = state.newton, state.stale
+    poor = own.poor[0] != 0
+    if poor:
+        own.factors[0] = NONE
     if model.turn == 1.0 or model.method != NEWTON or again:
         stale[0] = ALL_OF_A
     if stale[0] == ALL_OF_A:
@@ -35,7 +37,7 @@ def plan(model: Model, state: State, again: bool) -> None:
         return
     changed = turned_far(state, model.turn) or limits_changed(state)
     most = int((_SOME if changed or stale[1] != 0 else _MANY) * model.pattern.worth)
-    if own.spent[0] >= most:
+    if poor or own.spent[0] >= most:
         own.factors[0] = NONE
     elif changed:
         # What turns is left to a later step, so that none forms all of A; but all but rigid limits would tremble, and

@@ -11,7 +11,8 @@ from .elasticity import ALL_OF_A
 from .lanes import BATCH, LANES, aligned, aligned_copy
 from .linear_solver import MANY_BLOCKS, SIDES_AT_ONCE
 from .methods import LINEAR, NONE, ORTHOGONAL, PGS, TENSOR
-from .model import Model, Newton, Pgs, Principal, Relaxing, State, Tensor, Yielding
+from .model import Model, Newton, Pgs, Principal, Relaxing, Secants, State, Tensor, Yielding
+from .secants import MOST
 from .tensor_rows import MOST_DIRECTIONS
 from .work import WORK
 
@@ -66,6 +67,7 @@ def build_state(model: Model, positions: Floats, timed: bool = False) -> State:
         **_rows(size),
         relaxing=_relaxing(model, size),
         newton=_newton(size),
+        secants=_secants(size),
         pgs=_pgs(size),
         yielding=_yielding(model),
         principal=_principal(size),
@@ -200,9 +202,20 @@ def _newton(size: _Sizes) -> Newton:
         stiffness=np.zeros(rows),
         factors=np.zeros(1, np.int64),
         spent=np.zeros(1, np.int64),
+        poor=np.zeros(1, np.int64),
         slip=aligned(contacts, 4),
         holds=np.zeros(1, np.int64),
         bound=np.zeros(contacts),
+    )
+
+
+def _secants(size: _Sizes) -> Secants:
+    places = 0 if size.pgs else MOST + 1
+    return Secants(
+        pairs=aligned(2 * places, size.slots, 4),
+        weight=np.zeros(places),
+        part=np.zeros(places),
+        ring=np.zeros(2, np.int64),
     )
 
 

@@ -277,7 +277,8 @@ class Simulator:
         self._ground.write(state)
         wake(self._body.guard)
         state.stale[:], state.held_tets[0] = (ALL_OF_A, 0), 0
-        state.newton.factors[0] = state.newton.spent[0] = 0
+        state.newton.factors[0] = state.newton.spent[0] = state.newton.poor[0] = 0
+        state.secants.ring[:] = 0
         refresh(self._ready)
         if self.scene.material.relaxation:
             suddenly(self._model, state)

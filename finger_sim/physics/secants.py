@@ -1,0 +1,82 @@
+"""What residuals have told of H since its factors were made: limited-memory BFGS on top of them.
+
+Factors serve for many iterations and steps (newton.py), while other rows come to hold. Along a change s of the
+velocities the residual fell by y, and y = H s of the H that is there now. Few such secants mend H⁻¹ of the factors,
+which stays symmetric and positive definite: Nocedal and Wright, *Numerical Optimization*, 2nd ed., algorithm 7.4, with
+the factors for its first matrix; Morales and Nocedal 2000, *Automatic preconditioning by limited memory quasi-Newton
+updating*. They serve in later steps too, as the factors do, and are forgotten when there are new ones.
+"""
+
+from __future__ import annotations
+
+from ..arrays import Floats
+from .border import solve_all
+from .compile import formula, stage
+from .lanes import load4, splat4, store4, sum3
+from .model import Model, Secants, State
+
+MOST = 4
+# Part of the residual that an iteration leaves from which on it has something to tell. One that left less went along
+# good factors: its secant would only push out another one.
+_TELLS = 0.5
+
+
+@stage
+def mended_solve(model: Model, state: State, r: Floats, y: Floats) -> None:
+    """y = H⁻¹ r, by the factors and what secants know better; r is kept for `learn`."""
+    own = state.secants
+    pairs, weight, part, new = own.pairs, own.weight, own.part, own.ring[1]
+    for i in range(y.shape[0]):
+        x = load4(r, i, 0)
+        store4(pairs, 2 * new + 1, i, x)
+        store4(y, i, 0, x)
+    places = weight.shape[0]
+    for age in range(1, own.ring[0] + 1):
+        k = (new - age) % places
+        part[k] = weight[k] * _inner(pairs, 2 * k, y)
+        _add(y, pairs, 2 * k + 1, -part[k])
+    solve_all(model, state, y)
+    for age in range(own.ring[0], 0, -1):
+        k = (new - age) % places
+        _add(y, pairs, 2 * k, part[k] - weight[k] * _inner(pairs, 2 * k + 1, y))
+
+
+@stage
+def learn(secants: Secants, change: Floats, tried: Floats, left: Floats, share: float) -> None:
+    """Keep the secant from `change` to `tried`, where the residual is `left`, so much of that before; or not.
+
+    Of a merit function that is convex sᵀy is positive; friction's is not.
+    """
+    if share <= _TELLS:
+        return
+    pairs, new, places = secants.pairs, secants.ring[1], secants.weight.shape[0]
+    along = splat4(0.0)
+    for i in range(change.shape[0]):
+        s = load4(tried, i, 0) - load4(change, i, 0)
+        y = load4(pairs, 2 * new + 1, i) - load4(left, i, 0)
+        store4(pairs, 2 * new, i, s)
+        store4(pairs, 2 * new + 1, i, y)
+        along = along + s * y
+    if sum3(along) > 0.0:
+        secants.weight[new] = 1.0 / sum3(along)
+        secants.ring[0] = min(secants.ring[0] + 1, places - 1)
+        secants.ring[1] = (new + 1) % places
+
+
+@formula
+def _inner(pairs: Floats, k: int, y: Floats) -> float:
+    """Entry k of pairs · y: two sums side by side, as each waits for the one before it."""
+    even, odd, half = splat4(0.0), splat4(0.0), y.shape[0] // 2
+    for i in range(half):
+        even = even + load4(pairs, k, 2 * i) * load4(y, 2 * i, 0)
+        odd = odd + load4(pairs, k, 2 * i + 1) * load4(y, 2 * i + 1, 0)
+    if 2 * half < y.shape[0]:
+        even = even + load4(pairs, k, 2 * half) * load4(y, 2 * half, 0)
+    return sum3(even + odd)
+
+
+@formula
+def _add(y: Floats, pairs: Floats, k: int, part: float) -> None:
+    """y += part · entry k of pairs."""
+    for i in range(y.shape[0]):
+        store4(y, i, 0, load4(y, i, 0) + load4(pairs, k, i) * part)
