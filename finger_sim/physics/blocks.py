@@ -10,8 +10,8 @@ from ..arrays import Ints
 from .elimination import block_of
 from .model import Pattern
 
-PAIRS = [(a, b) for a in range(4) for b in range(a + 1)]
-"""Pairs of a tetrahedron's nodes: the blocks on and below the diagonal that it adds to."""
+PAIR_ROW, PAIR_COLUMN = (0, 1, 1, 2, 2, 2, 3, 3, 3, 3), (0, 0, 1, 0, 1, 2, 0, 1, 2, 3)
+"""Pairs of a tetrahedron's nodes, by ascending slots: row and column of the blocks on and below the diagonal."""
 
 
 class Blocks(NamedTuple):
@@ -19,8 +19,6 @@ class Blocks(NamedTuple):
 
     tet_place: Ints
     tet_block: Ints
-    pair_row: Ints
-    pair_column: Ints
     assembly: Ints
     assembly_start: Ints
     patch_assembly: Ints
@@ -31,16 +29,13 @@ class Blocks(NamedTuple):
 
 
 def blocks_of(tet_slot: Ints, patch_pairs: Ints, entry_slot: Ints, nf: int, pattern: Pattern) -> Blocks:
-    """The blocks of A for tetrahedra with these slots, (T, 4), and for the nodes of patches.
+    """The blocks of A for tetrahedra with these slots, (T, 4) ascending, and for the nodes of patches.
 
     patch_pairs: (k, 3) patch and two of its entries; entry_slot: (N,) slot of each entry (see Patches).
     """
     count = len(tet_slot)
-    pairs = np.array(PAIRS)
+    pairs = np.column_stack([PAIR_ROW, PAIR_COLUMN])
     slots = tet_slot[:, pairs]  # (T, 10, 2)
-    swap = slots[..., 0] < slots[..., 1]
-    pair_row = np.ascontiguousarray(np.where(swap, pairs[:, 1], pairs[:, 0]))
-    pair_column = np.ascontiguousarray(np.where(swap, pairs[:, 0], pairs[:, 1]))
     ends = entry_slot[patch_pairs[:, 1:]]
     both = np.concatenate([slots.reshape(-1, 2), ends])
     block, place, row, column, place_of = _numbered(both.max(axis=1), both.min(axis=1), nf, pattern)
@@ -49,14 +44,14 @@ def blocks_of(tet_slot: Ints, patch_pairs: Ints, entry_slot: Ints, nf: int, patt
     by_block = np.argsort(tet_block[t, e], kind="stable")
     t, e = t[by_block], e[by_block]
     start = np.searchsorted(tet_block[t, e], np.arange(block.max(initial=-1) + 2))
-    assembly = np.stack([t, pair_row[t, e], pair_column[t, e]], axis=1)
+    assembly = np.column_stack([t, pairs[e]])
     patch_block, turned = block[10 * count :], ends[:, 0] < ends[:, 1]
     entries = np.where(turned[:, None], patch_pairs[:, :0:-1], patch_pairs[:, 1:])
     patch_assembly = np.column_stack([patch_pairs[:, 0], entries, patch_block])[patch_block >= 0]
     patch_place = place[10 * count :][patch_block >= 0]
     tet_place = place[: 10 * count].reshape(count, 10)
     return Blocks(
-        tet_place, tet_block, pair_row, pair_column, assembly, start, patch_assembly, patch_place, row, column, place_of
+        tet_place, tet_block, assembly, start, patch_assembly, patch_place, row, column, place_of
     )  # fmt: skip
 
 

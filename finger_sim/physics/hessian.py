@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..arrays import Floats, Singles
+from .blocks import PAIR_COLUMN, PAIR_ROW
 from .border import factor_bone
 from .compile import formula, kernel, stage
 from .dilatation import add_patch_rows
@@ -99,7 +100,7 @@ def refactor(model: Model, state: State, h: float, contacts: int, rows: int) -> 
 def add_limit_rows(model: Model, state: State, h: float, contacts: int, rows: int) -> None:
     """h² Jᵀ J / ε of limits on principal stretches that hold to the Hessian; for patches, see `add_patch_rows`."""
     J, row_tet, stiffness, blocks = state.J, state.row_tet, state.newton.stiffness, state.L_blocks
-    tet_place, pair_row, pair_column = model.tet_place, model.pair_row, model.pair_column
+    tet_place = model.tet_place
     patched, patches, entries = model.patches.volume.shape[0] > 0, model.patches.lane, model.patches.tet_place
     cross, square, row_part = state.patch_cross, state.patch_force, state.row_part
     for row in range(contacts, rows):
@@ -114,7 +115,7 @@ def add_limit_rows(model: Model, state: State, h: float, contacts: int, rows: in
             for e in range(10):
                 place = tet_place[t, e]
                 if place >= 0:
-                    add_outer(blocks, place, load4(J, row, pair_row[t, e]) * weight, J, row, pair_column[t, e])
+                    add_outer(blocks, place, load4(J, row, PAIR_ROW[e]) * weight, J, row, PAIR_COLUMN[e])
 
 
 @stage
@@ -148,7 +149,7 @@ def add_tensor_rows(model: Model, state: State, h: float) -> None:
         for l in range(4):
             if (held >> l) & 1:
                 t = 4 * four + l
-                add_squares(model, state.L_blocks, model.tet_place, t, g, l, count)
+                add_squares(state.L_blocks, model.tet_place, t, g, l, count)
         if patched and held != 0:
             for l in range(4):
                 square[own.lane[b, 4 * half + l]] += lane(squares, l)

@@ -49,7 +49,7 @@ class Model(NamedTuple):
 
     n nodes, T tetrahedra, in B batches of 8 lanes (the last one filled up with tetrahedra of no volume); nf free nodes,
     "slots" 0 … nf − 1; slot nf stands for driven nodes and for none. Where the bone yields, slots nf + 1 and nf + 2 are
-    its own and the others those of its nodes (bone.py). Node pairs e of a tetrahedron: see blocks.PAIRS. A has `nf`
+    its own and the others those of its nodes (bone.py). Node pairs e of a tetrahedron: see blocks.PAIR_ROW. A has `nf`
     diagonal blocks and `na` below the diagonal: block k < nf is the diagonal one of slot k, block nf + p the p-th of
     the others; with such a bone, then come its nodes' diagonal blocks. Blocks lie by columns, each padded to four
     numbers.
@@ -68,8 +68,6 @@ class Model(NamedTuple):
     tet_slot: Ints  # (T, 4) slots of a tetrahedron's nodes
     tet_place: Ints  # (T, 10) block of State.L_blocks that each node pair adds to, −1: none (a driven node)
     tet_block: Ints  # (T, 10) block of A that it adds to, −1: none
-    pair_row: Ints  # (T, 10) node (0 … 3) at the block's row
-    pair_column: Ints  # (T, 10) node (0 … 3) at the block's column
     tet_order: Ints  # (T,) tetrahedra by their first slot: neighbouring rows share work in solves
     tet_moves: Ints  # (T,) number of free nodes; 0: cannot deform but by command
     lane_node: Ints  # (B, 4, 8) nodes of the tetrahedra in lanes

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arrays import Floats, Ints
-from .blocks import PAIRS, Blocks, blocks_of
+from .blocks import PAIR_COLUMN, PAIR_ROW, Blocks, blocks_of
 from .elimination import analyse
 from .lanes import LANES, aligned_copy, padded
 from .locking import STIFF_BULK, bulk_to_shear, isochoric_strain
@@ -126,12 +126,13 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
     patches = partition(body.tets, is_free) if tissue.patched else each_alone()
     order = side_by_side(body.points, body.tets)
     body, rest, patches = _in_order(order, body, rest, patches)
+    slots = _slots(body, is_free, patches)
+    body, rest, patches, slots = _nodes_by_slot(body, rest, patches, slots)
+    nf = len(slots.free)
     tets, driven, has_bone = body.tets, body.driven, body.yields
     gradients, volume, length = rest
     mass = np.zeros(len(body.points))
     np.add.at(mass, tets.ravel(), np.repeat(tissue.density * volume / 4.0, 4))
-    slots = _slots(body, is_free, patches)
-    nf = len(slots.free)
     blocks = blocks_of(slots.of_tet, patches.pairs, slots.of_node[patches.node], nf, slots.pattern)
     laplace = np.zeros(nf + len(blocks.row) + (len(driven) if has_bone else 0))
     t, row, column = blocks.assembly.T
@@ -154,8 +155,6 @@ def prepare_model(body: Body, rest: Rest, tissue: Tissue, strains: Strains, sett
         tet_slot=slots.of_tet,
         tet_place=blocks.tet_place,
         tet_block=blocks.tet_block,
-        pair_row=blocks.pair_row,
-        pair_column=blocks.pair_column,
         tet_order=np.argsort(slots.of_tet.min(axis=1), kind="stable"),
         tet_moves=(slots.of_tet < nf).sum(axis=1),
         **_in_lanes(body, rest, slots, mobility),
@@ -210,6 +209,16 @@ class _Slots(NamedTuple):
     total: int
 
 
+def _nodes_by_slot(body: Body, rest: Rest, patches: Partition, slots: _Slots) -> tuple[Body, Rest, Partition, _Slots]:
+    """The same with the nodes of each tetrahedron in the order of their slots, as blocks.PAIR_ROW takes them."""
+    order = np.argsort(slots.of_tet, axis=1, kind="stable")
+    if len(patches.of_tet):
+        patches = patches._replace(tet_place=np.take_along_axis(patches.tet_place, order, 1))
+    body = body._replace(tets=np.take_along_axis(body.tets, order, 1))
+    rest = rest._replace(gradients=np.take_along_axis(rest.gradients, order[:, :, None], 1))
+    return body, rest, patches, slots._replace(of_tet=np.take_along_axis(slots.of_tet, order, 1))
+
+
 def _patches(found: Partition, volume: Floats, tissue: Tissue, slots: _Slots, blocks: Blocks) -> Patches:
     """What a Model has of patches."""
     whole, share = shares(found, volume)
@@ -237,7 +246,8 @@ def _slots(body: Body, is_free: Any, patches: Partition) -> _Slots:
     number = np.full(n, -1, np.int64)
     number[nodes] = np.arange(len(nodes))
     apart = patches.pairs[patches.pairs[:, 1] != patches.pairs[:, 2], 1:]
-    pairs = np.concatenate([*(body.tets[:, [a, b]] for a, b in PAIRS if a != b), patches.node[apart]])
+    beside = [[a, b] for a, b in zip(PAIR_ROW, PAIR_COLUMN, strict=True) if a != b]
+    pairs = np.concatenate([*(body.tets[:, pair] for pair in beside), patches.node[apart]])
     edges = number[pairs]
     pattern = analyse(np.unique(np.sort(edges[(edges >= 0).all(axis=1)], axis=1), axis=0), len(nodes))
     free = nodes[pattern.order]

@@ -74,7 +74,7 @@ def add_turning(model: Model, state: State, blocks: Floats, h: float) -> None:
             count += 1
         for l in range(8):
             if (found >> l) & 1:
-                add_squares(model, blocks, model.tet_block, 8 * b + l, lane_J, l, count)
+                add_squares(blocks, model.tet_block, 8 * b + l, lane_J, l, count)
                 if model.tet_moves[8 * b + l] < 4 and not model.has_bone:
                     keep_squares(tensor, 8 * b + l, l, count)
 
