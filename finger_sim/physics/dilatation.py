@@ -151,9 +151,9 @@ def add_patch_rows(model: Model, state: State, blocks: Floats) -> None:
 
 
 @stage
-def patch_stiffness(model: Model, state: State, weight: float) -> None:
+def patch_stiffness(model: Model, state: State, A: Floats, weight: float) -> None:
     """Add weight · K V_p G_a G_bᵀ to A."""
-    own, A, G = model.patches, state.A, state.G
+    own, G = model.patches, state.G
     assembly, bulk = own.assembly, step_moduli(model, state)[2]
     for k in range(assembly.shape[0]):
         p, row, column, block = assembly[k, 0], assembly[k, 1], assembly[k, 2], assembly[k, 3]

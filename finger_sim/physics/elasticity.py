@@ -22,10 +22,11 @@ gives their tetrahedra within the step.
 
 from __future__ import annotations
 
+from ..arrays import Floats
 from .compile import formula, stage
 from .dilatation import patch_pressures, patch_stiffness
 from .kinematics import edges_times
-from .lanes import absolute, add3, bits, lane, load4, load8, maximum, scatter3, splat4, splat8, store4
+from .lanes import absolute, add3, bits, fill4, lane, load4, load8, maximum, scatter3, splat4, splat8, store4
 from .methods import NEWTON, NONE, TENSOR
 from .model import Model, State
 from .polar import load_matrix, transposed_times
@@ -70,7 +71,7 @@ def assemble(model: Model, state: State, h: float, again: bool) -> None:
         patch_pressures(model, state, beta if again else h + beta)
     stresses(model, state, h, beta if again else h + beta, elastic)
     if elastic:
-        matrix(model, state, h)
+        matrix(model, state, state.elastic_A if keeps_parts(model, state) else state.A, h)
         state.work[MATRICES] += 1
         if model.method == NEWTON:
             copy8(state.turned, state.quaternion, 4)
@@ -99,24 +100,29 @@ def turns(model: Model) -> bool:
     return does
 
 
+@formula
+def keeps_parts(model: Model, state: State) -> bool:
+    """Whether steps share A, and its two parts are kept apart, as each may be formed without the other."""
+    shared: bool = model.turn < 1.0 and model.relinearizations == 0
+    return shared and turns(model) and state.turning_A.shape[0] > 0
+
+
 @stage
 def form_turning(model: Model, state: State, h: float) -> None:
-    """What of A resists turning: anew where it is stale, and put to the rest of A where that is anew."""
-    A, own, stale = state.A, state.turning_A, state.stale[0]
-    if own.shape[0] == 0 or model.turn == 1.0 or model.relinearizations > 0:  # each step has its own
+    """What of A resists turning: anew where it is stale; then both parts together."""
+    A, own, elastic, stale = state.A, state.turning_A, state.elastic_A, state.stale[0]
+    if not keeps_parts(model, state):
         add_turning(model, state, A, h)
         return
     if stale & TURNING != 0:
-        for k in range(A.shape[0]):
+        for k in range(own.shape[0]):
             for j in range(3):
-                if stale == TURNING:
-                    store4(A, k, j, load4(A, k, j) - load4(own, k, j))
                 store4(own, k, j, splat4(0.0))
         add_turning(model, state, own, h)
     if stale != 0:
         for k in range(A.shape[0]):
             for j in range(3):
-                store4(A, k, j, load4(A, k, j) + load4(own, k, j))
+                store4(A, k, j, load4(elastic, k, j) + load4(own, k, j))
 
 
 @stage
@@ -213,9 +219,9 @@ def stresses(model: Model, state: State, h: float, lead: float, anew: bool) -> N
 
 
 @stage
-def matrix(model: Model, state: State, h: float) -> None:
-    """A of the rotations that state.g has."""
-    A, g, free, mass, laplace, nf = state.A, state.g, model.free, model.mass, model.laplace, model.free.shape[0]
+def matrix(model: Model, state: State, A: Floats, h: float) -> None:
+    """A of the rotations that state.g has, but for what resists turning."""
+    g, free, mass, laplace, nf = state.g, model.free, model.mass, model.laplace, model.free.shape[0]
     assembly, start, volume, dot = model.assembly, model.assembly_start, model.volume, model.assembly_dot
     weight = h * (h + model.damping_stiffness)
     lame_lambda, lame_mu, _ = step_moduli(model, state)
@@ -233,9 +239,10 @@ def matrix(model: Model, state: State, h: float) -> None:
         for c in range(start[k], start[k + 1]):
             t, row, column = assembly[c, 0], assembly[c, 1], assembly[c, 2]
             a, b = load4(g, t, row) * (volume[t] * w_lambda), load4(g, t, column) * (volume[t] * w_mu)
-            p = p + (a * g[t, column, 0] + b * g[t, row, 0])
-            q = q + (a * g[t, column, 1] + b * g[t, row, 1])
-            r = r + (a * g[t, column, 2] + b * g[t, row, 2])
+            column, row = 4 * column, 4 * row
+            p = p + (a * fill4(g, t, column) + b * fill4(g, t, row))
+            q = q + (a * fill4(g, t, column + 1) + b * fill4(g, t, row + 1))
+            r = r + (a * fill4(g, t, column + 2) + b * fill4(g, t, row + 2))
             if turns:
                 same += viscosity * limit_force[t] * dot[c]
         store4(A, k, 0, p)
@@ -244,4 +251,4 @@ def matrix(model: Model, state: State, h: float) -> None:
         for j in range(3):
             A[k, j, j] += same
     if model.patches.volume.shape[0] > 0:
-        patch_stiffness(model, state, weight)
+        patch_stiffness(model, state, A, weight)

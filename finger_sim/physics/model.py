@@ -300,6 +300,7 @@ class State(NamedTuple):
     # A v = b, and the factors of A or of what a solver makes of it.
     g: Floats  # (8 B, 4, 4) g_n = R r_n of each node of each tetrahedron [1/m], world
     turning_A: Floats  # as A: what `add_turning` has in it, where steps share it
+    elastic_A: Floats  # as A: the rest of it there
     A: Floats  # (nf + na, 3, 4)
     theta: Floats  # (P,) K θ_p [Pa]
     pressure: Floats  # (B, 8) the same of the patch of each tetrahedron

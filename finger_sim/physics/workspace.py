@@ -131,6 +131,7 @@ def _saved(model: Model, size: _Sizes) -> dict[str, Any]:
 def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
     again = size.nodes if model.relinearizations or not size.pgs else 0
     below = len(model.pattern.row)
+    parts = len(model.laplace) if size.tensor and not size.pgs else 0
     blocks = aligned(size.free + below + 1, 3, 4)
     return {
         "x_start": aligned(again, 4),
@@ -139,7 +140,8 @@ def _linearisation(model: Model, size: _Sizes) -> dict[str, Any]:
         "moving": aligned(size.nodes, 4),
         "driven_velocity": aligned(size.nodes, 4),
         "g": aligned(LANES * size.batches, 4, 4),
-        "turning_A": aligned(len(model.laplace) if size.tensor and not size.pgs else 0, 3, 4),
+        "turning_A": aligned(parts, 3, 4),
+        "elastic_A": aligned(parts, 3, 4),
         "A": aligned(len(model.laplace), 3, 4),
         "theta": np.zeros(size.patches),
         "pressure": aligned(size.batches if size.patches else 0, LANES),
