@@ -5,7 +5,7 @@ R ← R exp([w]), (tr(S) I − S) w = a, is Newton's method on it; it converges 
 about its maximum. tr(RᵀF) is a quadratic form of R's unit quaternion (Davenport), so that a stationary point with
 tr(S) I − S positive definite is the maximum itself, also where F is inverted. Warm-started from the last step's
 quaternion it takes one or two iterations. Where Newton is lost (a turn by 180°, a collapsed tetrahedron) the quaternion
-is the dominant eigenvector of the 4 × 4 matrix of that form, by Jacobi's method.
+is the dominant eigenvector of the 4 × 4 matrix of that form, by Jacobi's method; of several, the nearest to the last.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ Matrix = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]  #
 Quaternion = tuple[Lanes, Lanes, Lanes, Lanes]  # x y z w, at length one
 
 _ITERATIONS = 6
+_FLAT = 1e-12  # det (tr(S) I − S) / its trace³ up to which all rotations about an axis are as good, but for round-off
+_SAME = 1e-12  # likewise, difference of eigenvalues in units of F's largest entry
 _EXACT, _CLOSE = (
     1e-10,
     4e-6,
@@ -89,9 +91,7 @@ def polar(F: Matrix, quaternion: Floats, b: int, scratch: Floats, exact: bool) -
     if undone != 0:
         for l in range(8):
             if (undone >> l) & 1:
-                _from_scratch(F, l, scratch[0], scratch[1])
-                for i in range(4):
-                    quaternion[b, i, l] = scratch[1, i, 0]
+                _from_scratch(F, l, scratch[0], scratch[1], quaternion[b])
         q = load8(quaternion, b, 0), load8(quaternion, b, 1), load8(quaternion, b, 2), load8(quaternion, b, 3)
     R = rotation(q)
     return R, transposed_times(R, F)
@@ -107,7 +107,8 @@ def newton(F: Matrix, q: Quaternion, close: float) -> tuple[Quaternion, int, int
     c00, c01, c02 = t11 * t22 - t12 * t12, t02 * t12 - t01 * t22, t01 * t12 - t02 * t11
     c11, c12, c22 = t00 * t22 - t02 * t02, t01 * t02 - t00 * t12, t00 * t11 - t01 * t01
     det = t00 * c00 + t01 * c01 + t02 * c02
-    found = (t00 > 0.0) & (c22 > 0.0) & (det > 0.0)
+    trace = t00 + t11 + t22
+    found = (t00 > 0.0) & (c22 > 0.0) & (det > _FLAT * (trace * trace * trace))
     half = 0.5 / where(found, det, splat8(1.0))
     w0, w1, w2 = (
         half * (c00 * a0 + c01 * a1 + c02 * a2),
@@ -126,8 +127,12 @@ def newton(F: Matrix, q: Quaternion, close: float) -> tuple[Quaternion, int, int
 
 
 @stage
-def _from_scratch(F: Matrix, l: int, N: Floats, V: Floats) -> None:
-    """Quaternion of lane l of F into V[:, 0] (4, 4): the dominant eigenvector of N (4, 4), tr(RᵀF) = qᵀ N q."""
+def _from_scratch(F: Matrix, l: int, N: Floats, V: Floats, quaternion: Floats) -> None:
+    """Quaternion of lane l of F: the dominant eigenvector of N (4, 4), tr(RᵀF) = qᵀ N q; V (4, 4): scratch.
+
+    Of several that are as good, as of a tetrahedron that is a mirror image or a point, the nearest to what it was:
+    round-off would choose another one for each tetrahedron, and a body that is inside out would stay entangled.
+    """
     largest = 0.0
     for k, entry in enumerate(F):
         N[k // 3, k % 3] = lane(entry, l)
@@ -149,6 +154,15 @@ def _from_scratch(F: Matrix, l: int, N: Floats, V: Floats) -> None:
     for k in range(1, 4):
         if N[k, k] > N[best, best]:
             best = k
-    x, y, z, w = V[0, best], V[1, best], V[2, best], V[3, best]
+    x = y = z = w = 0.0
+    for k in range(4):
+        if N[k, k] >= N[best, best] - _SAME:
+            part = 0.0
+            for i in range(4):
+                part += V[i, k] * quaternion[i, l]
+            x, y, z, w = x + part * V[0, k], y + part * V[1, k], z + part * V[2, k], w + part * V[3, k]
     size = math.sqrt(x * x + y * y + z * z + w * w)
-    V[0, 0], V[1, 0], V[2, 0], V[3, 0] = x / size, y / size, z / size, w / size
+    if not size > _SAME:
+        x, y, z, w = V[0, best], V[1, best], V[2, best], V[3, best]
+        size = math.sqrt(x * x + y * y + z * z + w * w)
+    quaternion[0, l], quaternion[1, l], quaternion[2, l], quaternion[3, l] = x / size, y / size, z / size, w / size
