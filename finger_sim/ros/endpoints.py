@@ -77,6 +77,11 @@ class Endpoints:
         elif (code := self._publish(self._held_outgoing, k)) != 0:
             raise FingerSimError(f"{self._publishers[k].topic}: cannot be sent: {meaning(code)}")
 
+    def delivered(self, seconds: float) -> bool:
+        """Whether reliable readers have all that was sent; waits so long for it at most [s]."""
+        end = time.monotonic() + seconds
+        return all(rclpy_private.acknowledged(p, max(0.0, end - time.monotonic())) for p in self._publishers)
+
     def take(self, k: int) -> Taken | None:
         """The oldest message that lies in subscription k; None where there is none. Raises FingerSimError."""
         if self.lack:

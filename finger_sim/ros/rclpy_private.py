@@ -132,6 +132,16 @@ def failures() -> tuple[type[Exception], ...]:
     return rclpy_implementation.RCLError, rclpy_implementation.InvalidHandle
 
 
+def acknowledged(publisher: Any, seconds: float) -> bool:
+    """Whether reliable readers have all that the publisher sent; waits so long at most [s]. False where it is gone."""
+    from rclpy.duration import Duration
+
+    try:
+        return bool(publisher.wait_for_all_acked(Duration(seconds=seconds)))
+    except failures():
+        return False
+
+
 class Waiter:
     """Waits for a subscription without an executor."""
 

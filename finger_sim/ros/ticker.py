@@ -37,6 +37,9 @@ from .wire import UNFIT
 _PATIENCE = 0.5
 """How long the loop may take to hand over what is shown [s]; after that it is asked anew."""
 
+_LAST_WORDS = 0.2
+"""How long the last messages to a device may take to arrive [s]."""
+
 
 class Ticker(Loop):
     """Makes steps every `period` [s], or one for each command.
@@ -95,6 +98,7 @@ class Ticker(Loop):
             with contextlib.suppress(FingerSimError):
                 self._silence(self._held, time_of(self._clock))
                 self._send_to_device()
+                self._endpoints.delivered(_LAST_WORDS)  # what is lost after its publisher has gone is not sent again
         self._endpoints.release()
 
     def shown(self, whole: bool) -> Shown | None:
