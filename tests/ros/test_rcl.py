@@ -389,6 +389,19 @@ def test_where_all_is_as_it_must_be_rcl_does_it(client, pair):
     endpoints.release()
 
 
+def test_what_was_sent_is_waited_for(client, pair):
+    """Until a reliable reader has it; where the publisher is gone nothing is."""
+    publisher, subscription = pair
+    endpoints = Endpoints([(publisher, pose_template("world"))], [subscription])
+    assert endpoints.delivered(0.0)
+    endpoints.send(0)
+    assert endpoints.delivered(10.0)
+    assert endpoints.take(0) is not None
+    endpoints.release()
+    client.node.destroy_publisher(publisher)
+    assert not endpoints.delivered(10.0)
+
+
 VERSION = "<package><name>rcl</name>\n <version>{}</version></package>"
 
 
