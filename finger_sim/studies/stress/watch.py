@@ -284,7 +284,7 @@ class Watch:
         allowed = MOMENTUM * (carried + pushed) + roundoff
         if out.limit_rows or out.contacts:
             allowed += self._unsolved()
-        if out.asleep:  # it was as good as at rest, and stopped
+        if not self._v.any():  # it was as good as at rest, and fell asleep
             allowed += carried
         if np.abs(external).max() > allowed:
             self.fail("momentum", f"{where}: {np.abs(external).max():.3g} N from nowhere, {allowed:.3g} allowed")
