@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from ..arrays import Floats
 from .border import solve_all
-from .compile import formula, stage
-from .lanes import load4, splat4, store4, sum3
+from .compile import stage
 from .model import Model, Secants, State
+from .vectors import add, copy, inner
 
 MOST = 4
 # Part of the residual that an iteration leaves from which on it has something to tell. One that left less went along
@@ -26,19 +26,17 @@ def mended_solve(model: Model, state: State, r: Floats, y: Floats) -> None:
     """y = H⁻¹ r, by the factors and what secants know better; r is kept for `learn`."""
     own = state.secants
     pairs, weight, part, new = own.pairs, own.weight, own.part, own.ring[1]
-    for i in range(y.shape[0]):
-        x = load4(r, i, 0)
-        store4(pairs, 2 * new + 1, i, x)
-        store4(y, i, 0, x)
     places = weight.shape[0]
+    copy(pairs[2 * new + 1], r)
+    copy(y, r)
     for age in range(1, own.ring[0] + 1):
         k = (new - age) % places
-        part[k] = weight[k] * _inner(pairs, 2 * k, y)
-        _add(y, pairs, 2 * k + 1, -part[k])
+        part[k] = weight[k] * inner(pairs[2 * k], y)
+        add(y, y, pairs[2 * k + 1], -part[k])
     solve_all(model, state, y)
     for age in range(own.ring[0], 0, -1):
         k = (new - age) % places
-        _add(y, pairs, 2 * k, part[k] - weight[k] * _inner(pairs, 2 * k + 1, y))
+        add(y, y, pairs[2 * k], part[k] - weight[k] * inner(pairs[2 * k + 1], y))
 
 
 @stage
@@ -50,33 +48,11 @@ def learn(secants: Secants, change: Floats, tried: Floats, left: Floats, share: 
     if share <= _TELLS:
         return
     pairs, new, places = secants.pairs, secants.ring[1], secants.weight.shape[0]
-    along = splat4(0.0)
-    for i in range(change.shape[0]):
-        s = load4(tried, i, 0) - load4(change, i, 0)
-        y = load4(pairs, 2 * new + 1, i) - load4(left, i, 0)
-        store4(pairs, 2 * new, i, s)
-        store4(pairs, 2 * new + 1, i, y)
-        along = along + s * y
-    if sum3(along) > 0.0:
-        secants.weight[new] = 1.0 / sum3(along)
+    step, fell = pairs[2 * new], pairs[2 * new + 1]
+    add(step, tried, change, -1.0)
+    add(fell, fell, left, -1.0)
+    along = inner(step, fell)
+    if along > 0.0:
+        secants.weight[new] = 1.0 / along
         secants.ring[0] = min(secants.ring[0] + 1, places - 1)
         secants.ring[1] = (new + 1) % places
-
-
-@formula
-def _inner(pairs: Floats, k: int, y: Floats) -> float:
-    """Entry k of pairs · y: two sums side by side, as each waits for the one before it."""
-    even, odd, half = splat4(0.0), splat4(0.0), y.shape[0] // 2
-    for i in range(half):
-        even = even + load4(pairs, k, 2 * i) * load4(y, 2 * i, 0)
-        odd = odd + load4(pairs, k, 2 * i + 1) * load4(y, 2 * i + 1, 0)
-    if 2 * half < y.shape[0]:
-        even = even + load4(pairs, k, 2 * half) * load4(y, 2 * half, 0)
-    return sum3(even + odd)
-
-
-@formula
-def _add(y: Floats, pairs: Floats, k: int, part: float) -> None:
-    """y += part · entry k of pairs."""
-    for i in range(y.shape[0]):
-        store4(y, i, 0, load4(y, i, 0) + load4(pairs, k, i) * part)

@@ -419,7 +419,7 @@ def test_a_bone_that_yields_balances() -> None:
         out = sim.step(command(k))
         iterations += out.iterations
         assert healthy(out)
-    assert iterations < 40 * 17
+    assert iterations < 40 * 16
     assert sim.work["factorisations"] < 40 * 4
     state = sim._state
     x, v, origin = sim.positions.copy(), sim.velocities.copy(), state.bone[7:10].copy()

@@ -99,7 +99,7 @@ def test_a_lagged_matrix_is_made_anew_where_it_has_changed() -> None:
         if sim.work["matrices"] > before:
             then, made = (q, force), made + 1
             turned, changed = turned + (angle > 0.02), changed + (angle <= 0.02)
-    assert 15 < made < 150
+    assert 20 < made < 150
     assert turned > 5
     assert changed > 5
     assert 10 < late <= made
